@@ -81,6 +81,8 @@ KNOWN_WEIGHT = 0.1
 """Weight (Tukey's biweight) above which a frame counts as lying on its flight."""
 RESUMED_FRAMES = 6
 """Fewest frames of a flight with which the motion is resumed behind an open link."""
+HEIGHT_SIGMAS = 3.0
+"""Standard deviations of the height of a flight within which the table may be."""
 SHORTEST_FLIGHT_FRAMES = 0.05
 """Least time between two contacts, in frames."""
 
@@ -153,6 +155,8 @@ class _Sequence:
     """Flights that are not fitted any more: all but the last two."""
     end: int
     """Row behind the last that belongs to it."""
+    height_sigma_m: float = np.inf
+    """Standard deviation [m] of the height of the die there; infinite until it was fitted."""
 
     def fitted(self, starts: Sequence[State], links: Sequence[Link], end: int) -> FlightChain:
         """The last flights fitted to the frames before a row, with others behind them if given."""
@@ -170,7 +174,11 @@ class _Sequence:
         """The flights as fitted, up to a row."""
         starts = [*self.starts[: self.settled], *(flight.start for flight in chain.flights)]
         links = [*self.links[: self.settled], *chain.links]
-        return _Sequence(self.search, starts, links, max(len(starts) - 2, 0), end)
+        last = self.search.observations.rows(slice(end - 1, end))
+        bias = last.bias_jacobian[0, 2] @ self.search.shared_sigma
+        slope = pose_jacobian(chain.flights[-1], last.time_s)[0, 2]
+        height_sigma_m = float(np.hypot(bias, np.sqrt(max(slope @ chain.flights[-1].covariance @ slope, 0.0))))
+        return _Sequence(self.search, starts, links, max(len(starts) - 2, 0), end, height_sigma_m)
 
     def extended(self) -> _Sequence:
         """The last flight over the frames that lie on it, fitted again as it grows."""
@@ -242,7 +250,7 @@ class _Sequence:
             begin_s = max(begin_s, self.links[-1].time_s + SHORTEST_FLIGHT_FRAMES * spacing_s)
         around = np.linspace(begin_s, max(end_s, begin_s), TOUCH_SAMPLES)
         heights = lowest_heights_m(self.search.die, *flight.poses(around))
-        if heights.min() > TABLE_REACH * self.search.die.solid.edge_m:
+        if heights.min() > TABLE_REACH * self.search.die.solid.edge_m + HEIGHT_SIGMAS * self.height_sigma_m:
             return []
         lowest = np.flatnonzero((np.diff(heights[:-1]) < 0.0) & (np.diff(heights[1:]) >= 0.0)) + 1
         touches = [
@@ -291,11 +299,15 @@ def _first_off(search: ContactSearch, flight: Flight, begin: int, end: int) -> i
     """The first row from `begin` on at which two of OFF_AMONG frames lie off a flight; `end` if there is none."""
     count = len(search.observations)
     frames = search.observations.rows(slice(begin, min(end + OFF_AMONG - 1, count)))
-    residuals = flight_residuals(frames, flight.start)
-    slope = frames.whitener @ pose_jacobian(flight, frames.time_s)
-    covariance = slope @ flight.covariance @ np.swapaxes(slope, 1, 2) + np.diag(search.errors.variance)
-    squares = np.einsum("ni,ni->n", residuals, np.linalg.solve(covariance, residuals[..., None])[..., 0]) / 6.0
-    off = squares > OFF_SIGMAS**2
+    if not np.isfinite(flight.covariance).all():
+        return end
+    # In standard errors of the frames. By eigenvalues, none of which is below one: a flight of few frames may know nothing of
+    # some numbers, whose variance overflows what a solver can hold.
+    residuals = flight_residuals(frames, flight.start) / search.errors.scale
+    slope = frames.whitener @ pose_jacobian(flight, frames.time_s) / search.errors.scale[:, None]
+    values, vectors = np.linalg.eigh(np.eye(6) + slope @ flight.covariance @ np.swapaxes(slope, 1, 2))
+    along = np.einsum("nij,ni->nj", vectors, residuals)
+    off = (along**2 / np.maximum(values, 1.0)).mean(axis=1) > OFF_SIGMAS**2
     for k in range(end - begin):
         near = off[k : k + OFF_AMONG]
         if near[0] and near.sum() >= min(2, len(near)):

@@ -12,10 +12,10 @@ from throws import FPS, blurred_in_time, impact_at, random_release, seen, true_t
 from diethrow.model.die import Die, make_die
 from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
-from diethrow.model.throw import State, Throw, Until, throw_die
+from diethrow.model.throw import Flight, State, Throw, Until, throw_die
 from diethrow.tracking.flights import FlightChain, WeightedPoses
 from diethrow.tracking.throw import measure_throw
-from diethrow.tracking.throw.contact_sequence import ContactSearch, follow_contacts, white_errors
+from diethrow.tracking.throw.contact_sequence import ContactSearch, _first_off, follow_contacts, white_errors
 from diethrow.tracking.throw.flight_segmentation import segment_flights
 from diethrow.tracking.track import Track
 
@@ -120,3 +120,15 @@ def test_few_frames_have_the_errors_that_they_state() -> None:
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.5, impacts=1)
     frames = weighted_poses(seen(throw, rng)).rows(slice(0, 5))
     np.testing.assert_array_equal(white_errors(frames).scale, 1.0)
+
+
+@pytest.mark.parametrize("variance", [1e30, np.inf])
+def test_no_frame_lies_off_a_flight_of_which_nothing_is_known(variance: float) -> None:
+    rng = np.random.default_rng(5)
+    throw = true_throw(CUBE, random_release(CUBE, rng), 0.5, impacts=1)
+    frames = weighted_poses(seen(throw, rng))
+    search = ContactSearch(frames, CUBE, [], [], white_errors(frames), np.zeros(0), 3e-5)
+    wrong = replace(throw.flights[0].start, velocity_m_s=np.array([9.0, 0.0, 0.0]))
+    unknown = Flight(wrong, 1.0, variance * np.eye(12))
+    assert _first_off(search, unknown, 20, 40) == 40
+    assert _first_off(search, replace(unknown, covariance=1e-12 * np.eye(12)), 20, 40) == 20
