@@ -129,6 +129,6 @@ def test_no_frame_lies_off_a_flight_of_which_nothing_is_known(variance: float) -
     frames = weighted_poses(seen(throw, rng))
     search = ContactSearch(frames, CUBE, [], [], white_errors(frames), np.zeros(0), 3e-5)
     wrong = replace(throw.flights[0].start, velocity_m_s=np.array([9.0, 0.0, 0.0]))
-    unknown = Flight(wrong, 1.0, variance * np.eye(12))
+    unknown = Flight(wrong, 1.0, np.diag(np.full(12, variance)))
     assert _first_off(search, unknown, 20, 40) == 40
     assert _first_off(search, replace(unknown, covariance=1e-12 * np.eye(12)), 20, 40) == 20
