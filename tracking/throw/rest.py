@@ -125,10 +125,11 @@ def first_supported_row(observations: WeightedPoses, die: Die) -> int:
     n, deviation = len(observations), _deviation_from_level(observations, die)
     if deviation is None:
         return n
-    first = _row_behind_flights(observations, _first_of_last_rows(deviation < LOW_SHARE * die.solid.edge_m), die)
-    if first is None:
-        first = _first_level_row(observations, deviation, die)
-        if first == n:
+    low = _first_of_last_rows(deviation < LOW_SHARE * die.solid.edge_m)
+    first, is_supported = _row_behind_flights(observations, low, die)
+    if not is_supported:
+        behind_flights, first = first, _first_level_row(observations, deviation, die)
+        if first == n or first < behind_flights:
             return n
     # The last impact may lie a frame behind the first level frame: the frames that show it are left to the flight.
     return min(first + FRAMES_LEFT_TO_FLIGHT, n)
@@ -166,9 +167,9 @@ def _first_of_last_rows(holds: NDArray[np.bool_]) -> int:
     return int(off[-1]) + 1 if len(off) else 0
 
 
-def _row_behind_flights(observations: WeightedPoses, first: int, die: Die) -> int | None:
-    """The row behind the flights that follow from row `first`, itself if the die does not fly there; None if the frames, or too
-    few behind the flights, do not decide.
+def _row_behind_flights(observations: WeightedPoses, first: int, die: Die) -> tuple[int, bool]:
+    """The row behind the flights that follow from row `first`, itself if the die does not fly there, 0 if the frames do not
+    decide; and whether these, enough of them behind the flights, show that the table supports the die from there on.
 
     Windows of FIRST_WINDOW frames, then of twice and four times as many, are tested until most of them distinguish flight from
     support. Shorter intervals between two flights are ignored. An asymmetric body does not keep its spin in flight, and is not
@@ -184,9 +185,10 @@ def _row_behind_flights(observations: WeightedPoses, first: int, die: Die) -> in
             for k in begins[(support_chi2 > LEAST_SUPPORT_CHI2) & (free_chi2 < limit)].tolist():
                 if k <= end + GAP_WINDOWS * window:
                     end = k + window
-            return first + end if n - end > GAP_WINDOWS * window else None
+            is_supported = n - end > GAP_WINDOWS * window
+            return first + end if is_supported or end > 0 else 0, is_supported
         window *= 2
-    return None
+    return 0, False
 
 
 def _accelerations(observations: WeightedPoses, window: int, die: Die) -> tuple[NDArray[np.int64], Array, Array]:

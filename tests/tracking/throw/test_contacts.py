@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -260,6 +261,22 @@ def test_a_die_that_rolls_or_lies_is_not_fitted_with_flights(law: ImpactLaw, see
             assert height_m(impact.time_s) < 1e-3
         else:
             assert np.abs(true - impact.time_s).min() * FPS < 3.0
+
+
+def test_a_die_that_was_seen_to_fly_until_the_end_does_not_rest_before() -> None:
+    """Its last hops stay within the errors of its height, so that the lowest point seems to keep its height."""
+    rng = np.random.default_rng(0)
+    whole = throw_die(
+        CUBE, random_release(CUBE, rng, spin_rad_s=10.0), SmoothImpact(0.45), until=Until(impacts=14)
+    ).throw
+    hop, last = whole.flights[5:7]
+    assert (hop.end_s - hop.start.time_s) * FPS > 30.0
+    ended = replace(last, end_s=last.start.time_s + 7.0 / FPS)
+    track = seen(Throw((*whole.flights[:6], ended), whole.impacts[:6]), rng)
+    frames = weighted_poses(track)
+    level = int(hop.start.time_s * FPS) - 20
+    with patch("diethrow.tracking.throw.rest._first_level_row", return_value=level):
+        assert first_supported_row(frames, CUBE) == len(frames)
 
 
 def test_frames_at_rest_keep_their_own_poses_and_are_left_out_of_fits() -> None:
