@@ -204,7 +204,8 @@ def _stays(view: View, before: Pose, after: Pose) -> bool:
 
 def _distinct_but_for_distance(view: View, found: list[tuple[float, Pose]]) -> list[int]:
     """Of each group of poses that differ in nothing but a little in their distance, the first."""
-    centre_m, kept = view.camera.centre_m, []
+    centre_m = view.camera.centre_m
+    kept: list[int] = []
     for k, (_, pose) in enumerate(found):
         sight = pose.position_m - centre_m
         distance_m = float(np.linalg.norm(sight))

@@ -299,13 +299,14 @@ def _first_off(search: ContactSearch, flight: Flight, begin: int, end: int) -> i
     """The first row from `begin` on at which two of OFF_AMONG frames lie off a flight; `end` if there is none."""
     count = len(search.observations)
     frames = search.observations.rows(slice(begin, min(end + OFF_AMONG - 1, count)))
-    if not np.isfinite(flight.covariance).all():
+    known = flight.covariance
+    if known is None or not np.isfinite(known).all():
         return end
     # In standard errors of the frames. By eigenvalues, none of which is below one: a flight of few frames may know nothing of
     # some numbers, whose variance overflows what a solver can hold.
     residuals = flight_residuals(frames, flight.start) / search.errors.scale
     slope = frames.whitener @ pose_jacobian(flight, frames.time_s) / search.errors.scale[:, None]
-    values, vectors = np.linalg.eigh(np.eye(6) + slope @ flight.covariance @ np.swapaxes(slope, 1, 2))
+    values, vectors = np.linalg.eigh(np.eye(6) + slope @ known @ np.swapaxes(slope, 1, 2))
     along = np.einsum("nij,ni->nj", vectors, residuals)
     off = (along**2 / np.maximum(values, 1.0)).mean(axis=1) > OFF_SIGMAS**2
     for k in range(end - begin):
