@@ -1,7 +1,7 @@
 """From the poses of single frames to a throw: flights, impacts and the end on the table.
 
 Flights are proposed in two ways: a track is segmented wherever its motion changes (`flight_segmentation`), and followed from one
-contact to the next (`contact_sequence`). `contacts` fits each proposal as a chain of `flights`, decides which contacts are real
+contact to the next (`contact_search`). `contacts` fits each proposal as a chain of `flights`, decides which contacts are real
 (`contact_clusters`: those within a few frames), and which proposal explains the frames better. The errors common to all frames
 are estimated on the way (`shared_bias`), and the end during which the table supports the die is set aside (`rest`). `measure`
 returns all of that; `measure_throw` the throw alone. Tracking uses these flights to refine poses and to calibrate covariances

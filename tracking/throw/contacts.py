@@ -358,7 +358,7 @@ def _with_merged_contacts(observations: WeightedPoses, chain: FlightChain, prior
     while True:
         is_known = chain.inlier_share(observations.time_s)[1:-1] > 0.0
         opened = [a.is_open or b.is_open for a, b in itertools.pairwise(chain.links)]
-        same_instant = np.diff(chain.link_times_s) < SAME_INSTANT_FRAMES * _spacing_s(observations)
+        same_instant = np.diff(chain.link_times_s) < SAME_INSTANT_FRAMES * usual_spacing_s(observations)
         k = next((k for k, same in enumerate(same_instant) if same or (opened[k] and not is_known[k])), None)
         if k is None:
             return chain
@@ -448,12 +448,16 @@ def vertex_impacts(die: Die) -> list[VertexImpact]:
     return [VertexImpact(point, die.corner_radius_m, die.mass_kg / die.inertia_kg_m2) for point in inner]
 
 
-def _lowest(chain: FlightChain, k: int, impacts: list[VertexImpact]) -> list[VertexImpact]:
+def _lowest(chain: FlightChain, k: int, impacts: Sequence[VertexImpact]) -> list[VertexImpact]:
     """The impacts that link k may be, the lowest vertex first."""
+    return low_impacts(impacts, chain.flights[k].at(chain.links[k].time_s).rotation)
+
+
+def low_impacts(impacts: Sequence[VertexImpact], rotation: Array) -> list[VertexImpact]:
+    """The impacts at vertices that may strike in an orientation (3, 3), the lowest first."""
     if not impacts:
         return []
-    state = chain.flights[k].at(chain.links[k].time_s)
-    heights = np.array([impact.arm(state.rotation)[2] for impact in impacts])
+    heights = np.array([impact.arm(rotation)[2] for impact in impacts])
     reach = NEAR_SHARE * float(np.ptp(heights))
     return [impacts[int(i)] for i in np.argsort(heights) if heights[i] - heights.min() < reach]
 
@@ -511,7 +515,7 @@ def _without_spurious_impacts(observations: WeightedPoses, chain: FlightChain, d
             continue
         inside = np.flatnonzero((observations.time_s > link.time_s) & (chain.weights > INLIER_WEIGHT))
         until = float(observations.time_s[inside[0]]) if len(inside) else link.time_s
-        times = np.linspace(link.time_s, max(until, link.time_s + 4.0 * _spacing_s(observations)), CLEAR_SAMPLES)
+        times = np.linspace(link.time_s, max(until, link.time_s + 4.0 * usual_spacing_s(observations)), CLEAR_SAMPLES)
         lowest = min(_height(chain.flights[k].at(float(t)), impacts) for t in times)
         if lowest - chain.table_m < CLEAR_SHARE * die.solid.edge_m:
             continue
@@ -545,7 +549,7 @@ def _with_resolved_clusters(
     return observations, chain
 
 
-def _spacing_s(observations: WeightedPoses) -> float:
+def usual_spacing_s(observations: WeightedPoses) -> float:
     """Median time [s] between frames."""
     return float(np.median(np.diff(observations.time_s)))
 

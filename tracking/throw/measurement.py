@@ -1,7 +1,7 @@
 """The throw that a track shows: flights, impacts, and the end on the table.
 
 What follows the last flight on the table is set aside (`rest`), the remaining track is segmented into flights
-(`flight_segmentation`), or followed from contact to contact (`contact_sequence`), and the contacts between the flights are
+(`flight_segmentation`), or followed from contact to contact (`contact_search`), and the contacts between the flights are
 resolved (`contacts`); the chain of flights that explains the frames better remains. Each contact is then described by its
 instant, its vertices and its restitution; several contacts that cannot be separated are one unresolved contact."""
 
@@ -20,7 +20,7 @@ from ..covariance import covariance_root
 from ..flights import TABLE_SIGMA_M, FlightChain, Link, WeightedPoses, rms_residuals
 from ..track import Track
 from .contact_clusters import instant_limit_s
-from .contact_sequence import ContactSearch, follow_contacts, white_errors
+from .contact_search import ContactSearch, follow_contacts, white_errors
 from .contacts import (
     INCONSISTENT_SIGMAS,
     KNOWN_FLIGHT_SHARE,
@@ -267,11 +267,7 @@ def _followed(some: WeightedPoses, parts: list[Rows], die: Die, priors: Priors) 
     impacts = vertex_impacts(die)
     if not impacts or not parts:
         return None
-    search = ContactSearch(
-        some, die, impacts, parts, white_errors(some), priors.shared_sigma[: some.bias_jacobian.shape[2]],
-        priors.table_sigma_m,
-    )  # fmt: skip
-    return follow_contacts(search)
+    return follow_contacts(ContactSearch(some, die, impacts, parts, white_errors(some), priors))
 
 
 def _is_beyond_doubt(found: ResolvedChain, die: Die) -> bool:

@@ -68,7 +68,7 @@ def test_a_display_curve_that_is_given_costs_no_accuracy(response: Response) -> 
 
 @pytest.mark.parametrize("response", ["srgb", 0.45])
 def test_a_display_curve_that_is_not_given_is_estimated(response: Response) -> None:
-    # From 0.95 mm off to less than a third of that, and the covariance knows what the exponent leaves open.
+    # From 1.0 mm off to less than a third of that, and the covariance knows what the exponent leaves open.
     depth_m, nees = depth_and_nees(response, None, estimated=True)
     assert depth_m < 0.3 * depth_and_nees(response, None)[0]
     assert nees < 12.0
@@ -82,5 +82,5 @@ def test_an_estimate_changes_nothing_of_a_linear_clip_but_its_covariance() -> No
 
 
 def test_an_unknown_display_curve_moves_the_die_in_depth() -> None:
-    # By 0.95 mm, 48 times as far as in light.
+    # By 0.99 mm, 71 times as far as in light.
     assert depth_and_nees(0.45, None)[0] > 20.0 * depth_and_nees(0.45, 0.45)[0]

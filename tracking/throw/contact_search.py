@@ -30,13 +30,12 @@ from ..flights import (
     VertexImpact,
     WeightedPoses,
     chain_residuals,
-    fit_chain,
     fit_flight,
     fit_states,
     flight_residuals,
     pose_jacobian,
 )
-from .contacts import can_be_impact
+from .contacts import LEAST_GAIN, Priors, can_be_impact, low_impacts, normal_velocity, usual_spacing_s
 from .flight_segmentation import MIN_FRAMES, SHORTEST_WINDOW_S, TABLE_REACH
 from .rest import lowest_heights_m
 
@@ -61,8 +60,6 @@ FRAMES_BEFORE = 4
 """Frames before the first that lies off a flight among which its end is looked for: a weak impact shows late."""
 MOST_TOUCHES = 2
 """Instants there at which the lowest point comes to the table, and at which it is lowest, that are tried: the last of each."""
-NEAR_SHARE = 0.1
-"""Height above the lowest vertex, as a share of the spread of heights, up to which a vertex may be the one that strikes."""
 TRIAL_RESTITUTIONS = (0.2, 0.6, 0.9)
 """Restitutions of smooth impacts from which the velocities behind are guessed."""
 TRIAL_FRAMES = (3, 6)
@@ -73,10 +70,9 @@ FAR_SIGMAS = 30.0
 """Distance [rms of six numbers] from which a frame counts as equally far."""
 TOUCH_SAMPLES = 97
 """Instants at which the height of the die is evaluated to find where it touches."""
-LEAST_GAIN = 25.0
-"""Squared sigmas that an impact at a vertex must explain of the next frames: it has three free numbers."""
 LEAST_GAIN_OF_JUMP = 60.0
-"""The same of free jumps of velocity and spin, as of two vertices that strike nearly at once: they have seven."""
+"""Squared sigmas that free jumps of velocity and spin, as of two vertices that strike nearly at once, must explain of the next
+frames: they have seven free numbers, where an impact at a vertex has three (LEAST_GAIN)."""
 KNOWN_WEIGHT = 0.1
 """Weight (Tukey's biweight) above which a frame counts as lying on its flight."""
 RESUMED_FRAMES = 6
@@ -98,20 +94,11 @@ class ContactSearch:
     parts: Sequence[Rows]
     """Rows of the flights of a segmentation."""
     errors: ErrorModel
-    shared_sigma: Array
-    table_sigma_m: float
-
-    @property
-    def spacing_s(self) -> float:
-        """Usual time between frames."""
-        return float(np.median(np.diff(self.observations.time_s)))
+    priors: Priors
 
     def fit(self, starts: Sequence[State], links: Sequence[Link], rows: slice) -> FlightChain:
         """A chain fitted to some frames."""
-        return fit_chain(
-            self.observations.rows(rows), starts, links, errors=self.errors, shared_sigma=self.shared_sigma,
-            table_sigma_m=self.table_sigma_m,
-        )  # fmt: skip
+        return self.priors.fit(self.observations.rows(rows), starts, links, self.errors)
 
 
 def follow_contacts(search: ContactSearch) -> FlightChain:
@@ -175,7 +162,7 @@ class _Sequence:
         starts = [*self.starts[: self.settled], *(flight.start for flight in chain.flights)]
         links = [*self.links[: self.settled], *chain.links]
         last = self.search.observations.rows(slice(end - 1, end))
-        bias = last.bias_jacobian[0, 2] @ self.search.shared_sigma
+        bias = last.bias_jacobian[0, 2] @ self.search.priors.shared_sigma
         slope = pose_jacobian(chain.flights[-1], last.time_s)[0, 2]
         height_sigma_m = float(np.hypot(bias, np.sqrt(max(slope @ chain.flights[-1].covariance @ slope, 0.0))))
         return _Sequence(self.search, starts, links, max(len(starts) - 2, 0), end, height_sigma_m)
@@ -234,7 +221,7 @@ class _Sequence:
         search, flight = self.search, Flight(self.starts[-1], np.inf)
         for instant in self._instants(flight):
             state = flight.at(instant)
-            for impact in _low(search.impacts, state.rotation):
+            for impact in low_impacts(search.impacts, state.rotation):
                 for start in self._likeliest([*self._rebounds(state, impact), *self._own_motions(state)]):
                     yield start, Link(state.time_s, impact=impact)
             for start in self._likeliest([*self._own_motions(state)]):
@@ -243,7 +230,7 @@ class _Sequence:
     def _instants(self, flight: Flight) -> list[float]:
         """Instants at which an impact may end the last flight: between the last frame on it and the first off it, and where its
         lowest point came down to the table before; none if that never came near."""
-        times, spacing_s = self.search.observations.time_s, self.search.spacing_s
+        times, spacing_s = self.search.observations.time_s, usual_spacing_s(self.search.observations)
         end_s = float(times[self.end])
         begin_s = float(times[max(self.end - FRAMES_BEFORE, 0)])
         if self.links:
@@ -274,7 +261,7 @@ class _Sequence:
     def _rebounds(before: State, impact: VertexImpact) -> Iterator[State]:
         """States behind smooth impacts."""
         arm = impact.arm(before.rotation)
-        normal = before.velocity_m_s[2] + float(np.cross(before.omega_rad_s, arm)[2])
+        normal = normal_velocity(before, arm)
         lever = np.cross(arm, [0.0, 0.0, 1.0])
         if normal < 0.0:
             for chi in TRIAL_RESTITUTIONS:
@@ -314,10 +301,3 @@ def _first_off(search: ContactSearch, flight: Flight, begin: int, end: int) -> i
         if near[0] and near.sum() >= min(2, len(near)):
             return begin + k
     return end
-
-
-def _low(impacts: Sequence[VertexImpact], rotation: Array) -> list[VertexImpact]:
-    """The impacts at vertices that may strike, the lowest first."""
-    heights = np.array([impact.arm(rotation)[2] for impact in impacts])
-    reach = NEAR_SHARE * float(np.ptp(heights))
-    return [impacts[int(i)] for i in np.argsort(heights) if heights[i] - heights.min() < reach]

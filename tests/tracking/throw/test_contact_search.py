@@ -15,7 +15,8 @@ from diethrow.model.rotations import quat_from_rotvec, quat_multiply
 from diethrow.model.throw import Flight, State, Throw, Until, throw_die
 from diethrow.tracking.flights import FlightChain, WeightedPoses
 from diethrow.tracking.throw import measure_throw
-from diethrow.tracking.throw.contact_sequence import ContactSearch, _first_off, follow_contacts, white_errors
+from diethrow.tracking.throw.contact_search import ContactSearch, _first_off, follow_contacts, white_errors
+from diethrow.tracking.throw.contacts import Priors
 from diethrow.tracking.throw.flight_segmentation import segment_flights
 from diethrow.tracking.track import Track
 
@@ -30,7 +31,7 @@ LONE_FRAMES = 3.0
 def followed(die: Die, frames: WeightedPoses) -> FlightChain:
     parts = segment_flights(frames, die)
     impacts = [impact_at(die, vertex) for vertex in range(len(die.solid.vertices))]
-    return follow_contacts(ContactSearch(frames, die, impacts, parts, white_errors(frames), np.zeros(0), 3e-5))
+    return follow_contacts(ContactSearch(frames, die, impacts, parts, white_errors(frames), Priors(np.zeros(0), 3e-5)))
 
 
 def lone(throw: Throw, frame_s: float) -> list[int]:
@@ -127,7 +128,7 @@ def test_no_frame_lies_off_a_flight_of_which_nothing_is_known(variance: float) -
     rng = np.random.default_rng(5)
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.5, impacts=1)
     frames = weighted_poses(seen(throw, rng))
-    search = ContactSearch(frames, CUBE, [], [], white_errors(frames), np.zeros(0), 3e-5)
+    search = ContactSearch(frames, CUBE, [], [], white_errors(frames), Priors(np.zeros(0), 3e-5))
     wrong = replace(throw.flights[0].start, velocity_m_s=np.array([9.0, 0.0, 0.0]))
     unknown = Flight(wrong, 1.0, np.diag(np.full(12, variance)))
     assert _first_off(search, unknown, 20, 40) == 40
