@@ -84,6 +84,7 @@ from .segmentation import Blob as Blob
 from .segmentation import Mask as Mask
 from .segmentation import PixelNoise as PixelNoise
 from .segmentation import background_noise as background_noise
+from .segmentation import differs_clearly as differs_clearly
 from .segmentation import differs_from_background as differs_from_background
 from .segmentation import largest_blob as largest_blob
 from .segmentation import level_step as level_step
@@ -91,6 +92,7 @@ from .segmentation import pixel_noise as pixel_noise
 from .segmentation import without_rims as without_rims
 from .segmentation import without_shadow as without_shadow
 from .surface_equations import add_picture_equations as add_picture_equations
+from .surface_equations import compares_surface as compares_surface
 from .view import THREADS as THREADS
 from .view import Array as Array
 from .view import Image as Image

@@ -34,6 +34,17 @@ DIFFERENT_SIGMAS = 5.0
 """Difference of that mean from the background, in standard errors, from which a pixel differs."""
 DIFFERENT_GREY = 2.0
 """Least such difference in grey levels: the light of a still scene drifts by less."""
+RING_PX = 6, 30
+"""Distances from a region between which pixels show the noise about the die."""
+ROUGH_PX = 7
+"""Width below which differences from the background are rough, and no shadow."""
+LEAST_RING_PX = 200
+"""Fewest pixels that show it."""
+NOISIER = 1.25
+"""Ratio of this noise to that of the still background from which it counts: they differ by less in 30 of 33 random clips, most of
+which have noise of one size everywhere."""
+LEAST_DIFFERENCE_GREY = 0.1
+"""Least difference whose logarithm is taken."""
 SHADOW_WINDOW_PX = 9
 """Side of the window in which a shadow is a constant share of the background."""
 SHADOW_SHARE = 0.97
@@ -98,12 +109,17 @@ class PixelNoise:
 
 
 def pixel_noise(images: list[Image], background: Image, level_grey: float = 1.0) -> PixelNoise:
-    """`background_noise` for the levels that the frames use, and the step between these if rounding errors are
-    correlated. In pictures mapped to light the steps differ, and the average one, `level_grey`, counts."""
+    """`background_noise` for the levels that the frames use, or `noise_beside_die` where that is larger, and the step
+    between these levels if rounding errors are correlated. In pictures mapped to light the steps differ, and the average one,
+    `level_grey`, counts."""
     if level_grey != 1.0:
         return PixelNoise(background_noise(images, background, level_grey), 0.0, level_grey)
     step_grey = level_step(images)
     noise_grey = background_noise(images, background, step_grey)
+    beside = [noise_beside_die(image, background, noise_grey) for image in images]
+    beside_grey = float(np.median([noise for noise in beside if noise > 0.0] or [0.0]))
+    if beside_grey > NOISIER * noise_grey:
+        noise_grey = beside_grey
     return PixelNoise(noise_grey, step_grey if rounding_is_correlated(step_grey, noise_grey) else 0.0)
 
 
@@ -119,11 +135,45 @@ def background_noise(images: list[Image], background: Image, step_grey: float = 
     return max(min(spreads), ROUNDING_SHARE * step_grey)
 
 
+def noise_beside_die(image: Image, background: Image, noise_grey: float) -> float:
+    """Standard deviation [grey] of pixels in a ring about the largest region that differs from the background, without what is
+    smooth, such as a shadow; 0 if there is none. A codec repeats a still background without any noise, and leaves its errors
+    about what moves."""
+    mask = differs_from_background(image, background, noise_grey)
+    count, parts, stats, _ = cv2.connectedComponentsWithStats(
+        cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((SMOOTHED_PX, SMOOTHED_PX), np.uint8))
+    )
+    if count < 2:
+        return 0.0
+    region = (parts == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))).astype(np.uint8)
+    near, far = (
+        cv2.dilate(region, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1)))
+        for reach in RING_PX
+    )
+    difference = image - background
+    rough = np.abs(difference - cv2.blur(difference, (ROUGH_PX, ROUGH_PX)))[(far > 0) & (near == 0)]
+    return NORMAL_MAD * float(np.median(rough)) if len(rough) >= LEAST_RING_PX else 0.0
+
+
 def differs_from_background(image: Image, background: Image, noise_grey: float, level_grey: float = 1.0) -> Mask:
     """Mask of the pixels whose 3 × 3 mean differs from the background by more than DIFFERENT_SIGMAS and
     DIFFERENT_GREY levels of `level_grey`."""
     mean = cv2.blur(image - background, (MEAN_PX, MEAN_PX))
     return np.asarray(np.abs(mean) > max(DIFFERENT_SIGMAS * noise_grey / MEAN_PX, DIFFERENT_GREY * level_grey))
+
+
+def differs_clearly(image: Image, background: Image, mask: Mask) -> Mask:
+    """The part of `mask` that differs clearly: above the threshold that divides the logarithms of its differences into two
+    classes (Otsu, IEEE Trans. Syst. Man Cybern. 9, 62, 1979). A codec leaves traces about a die that moves, and a lamp of some
+    width a shadow without a border; both differ far less than the die."""
+    if not mask.any():
+        return mask
+    difference = np.nan_to_num(np.abs(cv2.blur(image - background, (MEAN_PX, MEAN_PX))))
+    size = np.log(np.maximum(difference, LEAST_DIFFERENCE_GREY))
+    low, high = float(size[mask].min()), float(size[mask].max())
+    levels = np.asarray(255.0 * (size - low) / max(high - low, 1e-9)).clip(0.0, 255.0).astype(np.uint8)
+    threshold, _ = cv2.threshold(levels[mask], 0, 255, cv2.THRESH_OTSU)
+    return np.asarray(mask & (levels > threshold))
 
 
 def without_shadow(image: Image, background: Image, noise_grey: float, mask: Mask) -> Mask:

@@ -125,14 +125,21 @@ def add_picture_equations(
     equations: NormalEquations,
 ) -> None:  # fmt: skip
     """Add what the picture of one view says about a pose to the normal equations, H (lower half) and g, and to the
-    statistics: its edges one by one, or the whole surface of a die with bevels wider than the blur. Before a mirror, and
-    where bevels may have any shade, edges are compared."""
-    rig, shape = model.rig, model.shape
-    whole = shape.radius > 0.0 and rig.partner[view] < 0 and work.light.level[view] != NO_LIGHT
-    if whole and ball_px(shape, rig, view, pose.position) > LEAST_ROUNDED_PX:
+    statistics: its edges one by one, or its whole surface (`compares_surface`)."""
+    if compares_surface(view, model, pose):
         add_surface_equations(view, windows, model, pose, sampling, work, equations)
     else:
         add_edge_equations(view, windows, model, pose, sampling, work, equations)
+
+
+@inner_no_memory
+def compares_surface(view: int, model: PictureModel, pose: PoseState) -> bool:
+    """Whether the whole surface is compared in a view, and not edges: of a die with bevels wider than the blur, unless it is seen
+    in a mirror, or bevels may have any shade."""
+    shape, rig = model.shape, model.rig
+    if not (shape.radius > 0.0 and rig.partner[view] < 0 and model.settings.light.level[view] != NO_LIGHT):
+        return False
+    return bool(ball_px(shape, rig, view, pose.position) > LEAST_ROUNDED_PX)
 
 
 @inner_nogil
@@ -198,6 +205,8 @@ def _solve_deviations(
     v = noise2 + (GRAIN_SHARE * level) ** 2
     # After the first step of a picture the equations have solved for the deviations, together with the pose.
     change, first = np.zeros(before.shape[0]), light.part_matrix[view, 0, 0] == 0.0
+    if first:
+        _fill_median_changes(image, corner, grid, level, change)
     for _ in range(REWEIGHTINGS):
         sums, number = np.zeros(len(change)), np.zeros(len(change))
         top, bottom = np.zeros(len(shades)), np.zeros(len(shades))
@@ -230,6 +239,25 @@ def _solve_deviations(
             if grid.part[i, j] != NOTHING:
                 grid.glow[i, j] += grid.share[i, j] * change[grid.part[i, j]]
                 grid.bright[i, j] += change[grid.part[i, j]]
+
+
+@inner_nogil
+def _fill_median_changes(image: Any, corner: Any, grid: SurfaceGrid, level: float, change: Any) -> None:
+    """Fill by how much the pixels that show a part of the surface alone lie above the light (parts,) [grey], by their median.
+
+    Where the light is hardly known, weights about it would take the marks of a dark face for the face: they are nearer to the
+    mean grey of the die."""
+    counts, values = np.zeros(len(change), np.int64), np.empty((len(change), grid.part.size))
+    for i in range(grid.part.shape[0]):
+        for j in range(grid.part.shape[1]):
+            part = grid.part[i, j]
+            if grid.side[i, j] != NOTHING and grid.share[i, j] > PURE_SHARE and part != NOTHING:
+                e = image[grid.y0 + i - corner[1], grid.x0 + j - corner[0]] - grid.glow[i, j]
+                values[part, counts[part]] = max(e + level, 0.0)
+                counts[part] += 1
+    for k in range(len(change)):
+        if counts[k] > 0:
+            change[k] = median_size(values[k], counts[k]) - level
 
 
 @inner_nogil

@@ -148,7 +148,7 @@ class RefinementSettings(NamedTuple):
     light: Any
     """What is known of the light before a frame is looked at, a `surface_light.LightPrior`."""
     whole_surface: bool
-    """Whether steps at the lens blur compare all pixels of a well-rounded die, or the edges alone."""
+    """Whether all pixels of a well-rounded die are compared, or its edges alone."""
     contour_stretch_px: float
     """Length of contour of a sharp die that shares one shade of the background."""
     response: float

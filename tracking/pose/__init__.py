@@ -36,5 +36,6 @@ from .refine_kernels import LEAST_CONTOUR_PX as LEAST_CONTOUR_PX
 from .refine_kernels import WELL_SEEN as WELL_SEEN
 from .refine_kernels import refine_and_score as refine_and_score
 from .refine_kernels import refine_frames as refine_frames
+from .refine_kernels import refine_uncertain as refine_uncertain
 from .refine_kernels import seen_distance_m as seen_distance_m
 from .refine_kernels import store_frame as store_frame

@@ -28,6 +28,7 @@ from ..picture import (
     PixelNoise,
     PoseState,
     View,
+    differs_clearly,
     differs_from_background,
     largest_blob,
     make_view,
@@ -54,9 +55,9 @@ LEAST_SYMMETRY_ORDER = 12
 GRID_ROTATIONS = 12_000
 """Orientations over all rotations, before the symmetry divides them: neighbours lie near enough for the edges to pull a
 trial in. More of them cost time in proportion."""
-DISTANCE_FACTORS = (0.92, 1.0, 1.1)
+DISTANCE_FACTORS = (0.92, 1.0, 1.1, 1.25)
 """Factors on the distance at which the silhouette is as large as the region, for what light and shadow do to the
-region."""
+region: a shadow as dark as the die, and beside it, makes it half as large again."""
 REFINED = 48
 """Trials of lowest cost that are refined."""
 FEW_KEPT = 6
@@ -91,6 +92,14 @@ SHARPEST_PX = 0.3
 """Least lens blur of a smaller picture: the mean over a pixel."""
 FIRST_COARSE_STEPS = 2
 """Coarse steps of the first refinement of a candidate."""
+APART_EDGES = 0.2
+"""Distance of corners, in edges, from which trials of a well-rounded die begin apart: its surface leads from that far."""
+SURFACE_TRIALS = 12
+"""Most trials that are refined on the whole surface."""
+SURFACE_COARSE_STEPS = 4
+"""Coarse steps of that refinement."""
+SURFACE_COST_RATIO = 1.4
+"""Cost over the lowest up to which such a trial is refined further."""
 MOST_ROUNDS = 12
 """Refinements of a candidate one after the other, at the most."""
 SETTLED_EDGES = 0.02
@@ -145,38 +154,64 @@ def _candidates_in_regions(view: View, images: Image, blobs: list[Blob], rate_px
     box = (max(x0 - margin, 0), max(y0 - margin, 0), min(x1 + margin, width), min(y1 + margin, height))
     found = [pair for blob in blobs for pair in _search(view, images, blob, box)]
     found.sort(key=lambda pair: pair[0])
+    if found and view.shows_surface(found[0][1].position_m):
+        kept = _refined_on_surface(view, images, found, rate_px_s)
+        settled = [pose for _, pose in _settled(view, images, kept, rate_px_s, 0) if pose.support > LEAST_SUPPORT]
+        return sorted(((pose.cost, pose) for pose in settled), key=lambda pair: pair[0])
     distinct = _distinct(view, found)[: view.quality.max_initial_poses]
     limit = distinct[0][0] + ACCEPTED_EXCESS_COST if distinct else 0.0
     kept = distinct[:FEW_KEPT] + [pair for pair in distinct[FEW_KEPT:] if pair[0] < limit]
-    return _settled(view, images, kept, rate_px_s)
+    return _settled(view, images, kept, rate_px_s, FIRST_COARSE_STEPS)
 
 
-def _settled(view: View, images: Image, found: list[tuple[float, Pose]], rate_px_s: Array) -> list[tuple[float, Pose]]:
+def _refined_on_surface(
+    view: View, images: Image, found: list[tuple[float, Pose]], rate_px_s: Array
+) -> list[tuple[float, Pose]]:
+    """Of trials refined on the edges of a well-rounded die those that explain its whole surface best, refined on that.
+
+    Edges of such a die have wrong optima, and the region cost draws it with sharp corners: both only say where to begin."""
+    apart = _distinct_but_for_distance(view, found, np.inf, APART_EDGES)[:SURFACE_TRIALS]
+    prior = pose_prior(SIZE_PRIOR_REACH * view.reach_m, GRID_PRIOR_RAD)
+    poses = _refined_once_more(
+        view, images, [found[k][1] for k in apart], rate_px_s, coarse=SURFACE_COARSE_STEPS, prior=prior, roughly=True
+    )
+    poses = [p for p in poses if p.covariance is not None and p.position_m[2] >= LEAST_HEIGHT * view.die.solid.inradius]
+    poses.sort(key=lambda pose: pose.cost)
+    return [(pose.cost, pose) for pose in poses[:FEW_KEPT] if pose.cost < SURFACE_COST_RATIO * poses[0].cost]
+
+
+def _settled(
+    view: View, images: Image, found: list[tuple[float, Pose]], rate_px_s: Array, coarse: int
+) -> list[tuple[float, Pose]]:
     """Poses refined until they stay; of those that become the same but for their distance, one.
 
     The prior of a refinement holds the distance of a small or well-rounded die, which its picture hardly shows, and with it
     whatever depends on that: six poses of a cube with corners rounded by a seventh of its edge, 6 to 14 % too far and 7 to 14
     degrees off, came within 2 degrees by twelve refinements, and the first of them led hardly anywhere. Each begins where the one
-    before ended."""
+    before ended, and the first with `coarse` steps."""
     settled = [False] * len(found)
     for k in range(MOST_ROUNDS):
         moving = [pose for (_, pose), stays in zip(found, settled, strict=True) if not stays]
-        again = iter(_refined_once_more(view, images, moving, rate_px_s, coarse=0 if k else FIRST_COARSE_STEPS))
+        again = iter(_refined_once_more(view, images, moving, rate_px_s, coarse=0 if k else coarse))
         moved = [(cost, pose if stays else next(again)) for (cost, pose), stays in zip(found, settled, strict=True)]
         settled = [_stays(view, before, after) for (_, before), (_, after) in zip(found, moved, strict=True)]
-        kept = _distinct_but_for_distance(view, moved)
+        kept = _distinct_but_for_distance(view, moved, SAME_DISTANCE, SAME_POSE_EDGES)
         found, settled = [moved[k] for k in kept], [settled[k] for k in kept]
         if all(settled):
             break
     return found
 
 
-def _refined_once_more(view: View, images: Image, poses: list[Pose], rate_px_s: Array, *, coarse: int) -> list[Pose]:
+def _refined_once_more(
+    view: View, images: Image, poses: list[Pose], rate_px_s: Array, *, coarse: int, prior: Array | None = None,
+    roughly: bool = False,
+) -> list[Pose]:  # fmt: skip
     """Poses refined with the blur of their motion."""
 
     def refined(rows: NDArray[np.int64]) -> list[Pose]:
         work = new_workspace(view.shape, view.rig)
-        return [refine_pose(view, images, _moving(view, poses[k], rate_px_s), coarse=coarse, work=work) for k in rows]
+        starts = [_moving(view, poses[k], rate_px_s) for k in rows]
+        return [refine_pose(view, images, s, coarse=coarse, prior=prior, roughly=roughly, work=work) for s in starts]
 
     with ThreadPoolExecutor(THREADS) as pool:
         parts = pool.map(refined, np.array_split(np.arange(len(poses)), THREADS))
@@ -203,8 +238,11 @@ def _stays(view: View, before: Pose, after: Pose) -> bool:
     return bool(np.linalg.norm(there - here, axis=1).max() < SETTLED_EDGES * view.die.solid.edge_m)
 
 
-def _distinct_but_for_distance(view: View, found: list[tuple[float, Pose]]) -> list[int]:
-    """Of each group of poses that differ in nothing but a little in their distance, the first."""
+def _distinct_but_for_distance(
+    view: View, found: list[tuple[float, Pose]], same_distance: float, within: float
+) -> list[int]:
+    """Of each group of poses that draw the same die at one distance, within a distance of corners in edges, the first; their own
+    distances differ by a share of less than `same_distance`."""
     centre_m = view.camera.centre_m
     kept: list[int] = []
     for k, (_, pose) in enumerate(found):
@@ -214,8 +252,8 @@ def _distinct_but_for_distance(view: View, found: list[tuple[float, Pose]]) -> l
             other = found[j][1]
             other_m = float(np.linalg.norm(other.position_m - centre_m))
             moved = (centre_m + sight * (other_m / distance_m), pose.rotation)
-            if abs(other_m / distance_m - 1.0) < SAME_DISTANCE and same_picture(
-                view, moved, (other.position_m, other.rotation)
+            if abs(other_m / distance_m - 1.0) < same_distance and same_picture(
+                view, moved, (other.position_m, other.rotation), within
             ):
                 break
         else:
@@ -236,7 +274,9 @@ def _candidates_in_smaller(view: View, images: Image, rate_px_s: Array, shrink: 
         PixelNoise(view.noise_grey / shrink, level_grey=view.level_grey), view.exposure_s,
         max(view.blur_px / shrink, SHARPEST_PX), mirror=view.mirror, quality=view.quality,
     )  # fmt: skip
-    return _settled(view, images, pose_candidates(small, stack_pictures(smaller), rate_px_s / shrink), rate_px_s)
+    return _settled(
+        view, images, pose_candidates(small, stack_pictures(smaller), rate_px_s / shrink), rate_px_s, FIRST_COARSE_STEPS
+    )
 
 
 def die_blobs(view: View, image: Image) -> list[Blob]:
@@ -255,12 +295,14 @@ def die_blobs(view: View, image: Image) -> list[Blob]:
 
 def _die_regions(view: View, image: Image) -> Iterator[list[Blob]]:
     """Regions that the die alone may be, likely ones first: bulky parts without shadow, and parts brighter than the
-    table. If none of them shows a die, as of one that is as grey as its shadow, everything that differs follows."""
+    table. If none of them shows a die, as of one that is as grey as its shadow, everything that differs follows; and then what
+    differs clearly, without the traces that a codec leaves about a die that moves."""
     mask, lit = _masks(view, image)
     # Bulky parts stay separate: a small die and its shadow lie a few pixels apart.
     bulky = largest_blob(without_rims(image, view.background, mask, lit), holes_px=1)
     bright = largest_blob(mask & (image > view.background))
-    for readings in ((bulky, bright), (largest_blob(lit), largest_blob(mask))):
+    clear = largest_blob(differs_clearly(image, view.background, mask))
+    for readings in ((bulky, bright), (largest_blob(lit), largest_blob(mask)), (clear,)):
         inside = [b for b in readings if b is not None and not b.touches_border]
         yield list({(b.box, b.area_px): b for b in inside}.values())
 

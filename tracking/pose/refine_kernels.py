@@ -36,6 +36,7 @@ from ..picture import (
     begin_light,
     cholesky_factor,
     clear_steps_cost,
+    compares_surface,
     crop_windows,
     keep_light,
     new_equations,
@@ -65,6 +66,10 @@ LARGEST_MOVE_PARTS = 3.0
 """A step moves the die by no more than its reach over this: edges of other faces come into the band beyond that."""
 LARGEST_TURN_RAD = 0.14
 """The same of rotations: 8 degrees."""
+FIRST_LIGHT_STEPS = 8
+"""Most further steps until the light is settled that is on a die whose whole surface is compared, if nothing was known of it."""
+SETTLED_COST = 0.02
+"""Relative change of the surface's cost by a step from which its light counts as settled."""
 LEAST_PIVOT = 1e-13
 """Part of its diagonal that a pivot of the pose's equations keeps at the least."""
 REGION_MARGIN_PX = 8.0
@@ -188,7 +193,9 @@ def refine_and_score(
     work.grey_sums[:] = 0.0
     work.shared_faces[:] = 0
     begin_light(settings.light, work.light)
-    for it in range(coarse + settings.fine_steps):
+    last, before = coarse + settings.fine_steps - 1, np.inf
+    is_settled = _knows_light(work) or not _compares_surface(model, start)
+    for it in range(last + 1 + FIRST_LIGHT_STEPS):
         fine = it >= coarse
         if fine:
             blur, band = settings.blur_px, max(settings.band_px, BAND_BLURS * settings.blur_px)
@@ -201,7 +208,7 @@ def refine_and_score(
         pose = PoseState(p, Q, start.velocity, start.omega)
         for view in range(rig.camera.shape[0]):
             if rig.weight[view] > 0.0 and windows.size[rig.camera[view], 0] > 0:
-                if fine and settings.whole_surface:
+                if settings.whole_surface:
                     add_picture_equations(view, windows, model, pose, sampling, work, equations)
                 else:
                     add_edge_equations(view, windows, model, pose, sampling, work, equations)
@@ -236,7 +243,12 @@ def refine_and_score(
         update_shared_greys(work, step)
         update_light(work.light, step)
         moved_px = _most_moved_px(rig, start.position, step, shrink * lr * reach, reach)
-        if fine and (gain < settings.min_gain or moved_px < settings.min_step_px):
+        # A light of which nothing was known is found step by step, as the weights change.
+        surface, _ = _surface_cost(work)
+        is_settled = is_settled or abs(surface - before) <= SETTLED_COST * abs(surface)
+        before = surface
+        is_last = it == last or (fine and (gain < settings.min_gain or moved_px < settings.min_step_px))
+        if is_settled and (is_last or it > last):
             break
     cost = 0.0
     if settings.region_pixels > 0:
@@ -249,6 +261,59 @@ def refine_and_score(
             cost = pose_cost(region, statistics)
         statistics[BACKGROUND_SHARE] = 1.0 - differs
     return p, Q, cost
+
+
+@compiled(nogil=True)
+def refine_uncertain(
+    windows: FrameWindows, model: PictureModel, start: PoseState, prior: Any, coarse: int, enough: float, work: Workspace,
+    equations: NormalEquations,
+) -> tuple[Any, Any, float]:  # fmt: skip
+    """`refine_and_score` from a start that may be far off.
+
+    Where the whole surface is compared and the pose costs more than `enough`, it is refined with coarse steps as well, and as if
+    nothing were known of the light; the pose of lowest cost counts. At a large blur marks and bevels run into each other, and its
+    best pose may lie beyond another one; without it the die may be missed. A pose that is a little off and the light that
+    explains it lead each other on from frame to frame."""
+    if not _compares_surface(model, start):
+        return refine_and_score(windows, model, start, prior, coarse, work, equations)
+    p, Q, cost = refine_and_score(windows, model, start, prior, 0, work, equations)
+    if cost < enough:
+        return p, Q, cost
+    best_coarse, is_last, known = 0, True, work.light.kept_level.copy()
+    if coarse > 0:
+        other_p, other_Q, other = refine_and_score(windows, model, start, prior, coarse, work, equations)
+        is_last = other < cost
+        if is_last:
+            p, Q, cost, best_coarse = other_p, other_Q, other, coarse
+    if known.max() > 0.0:
+        work.light.kept_level[:] = 0.0
+        other_p, other_Q, other = refine_and_score(windows, model, start, prior, 0, work, equations)
+        work.light.kept_level[:] = known
+        is_last = other < cost
+        if is_last:
+            p, Q, cost = other_p, other_Q, other
+    if is_last:
+        return p, Q, cost
+    # Once more, for the equations and the light of this pose.
+    return refine_and_score(windows, model, start, prior, best_coarse, work, equations)
+
+
+@inner_no_memory
+def _compares_surface(model: PictureModel, pose: PoseState) -> bool:
+    """Whether whole surfaces are compared in any view."""
+    for view in range(model.rig.camera.shape[0]):
+        if model.rig.weight[view] > 0.0 and model.settings.whole_surface and compares_surface(view, model, pose):
+            return True
+    return False
+
+
+@inner_no_memory
+def _knows_light(work: Workspace) -> bool:
+    """Whether the light is known from pictures before, in all views."""
+    known = True
+    for view in range(work.light.kept_level.shape[0]):
+        known = known and work.light.kept_level[view] > 0.0
+    return known
 
 
 @inner_no_memory
@@ -308,15 +373,8 @@ def refine_frames(frames: Any, which: Any, model: PictureModel, rows: PoseRows) 
             windows = crop_windows(frames[which[k]], rig, shape, first, WINDOW_PX if again else NARROW_WINDOW_PX, work)
             if windows.pixels.shape[1] == 0:
                 break
-            p, Q, cost = refine_and_score(
-                windows,
-                model,
-                first,
-                loose,
-                RESTART_COARSE_STEPS * again,
-                work,
-                equations,
-            )
+            coarse = RESTART_COARSE_STEPS * again
+            p, Q, cost = refine_uncertain(windows, model, first, loose, coarse, 0.0, work, equations)
             store_frame(k, p, Q, cost, equations, rows)
             seen = (
                 statistics[CLEAR_PX] > WELL_SEEN * statistics[CONTOUR_PX] and statistics[CONTOUR_PX] > LEAST_CONTOUR_PX

@@ -6,7 +6,7 @@ pose, and rotations about it. The pose that explains the picture best is taken, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from itertools import islice
 from typing import Any
@@ -89,10 +89,12 @@ LEAST_IMPROVEMENT = 0.02
 SURFACE_EXCESS_SHARE = 0.25
 """Cost above the usual, as a share of it, up to which a pose after an impact is accepted if the whole surface is compared: it
 varies with the faces in view. Right poses on two clips, one of them in H.264, came to a seventh."""
-SURFACE_TRIALS = 10
-"""Hypotheses whose pose is refined on the whole surface of a well-rounded die, of those refined on its edges."""
-SAME_TRIAL_EDGES = 0.05
-"""Distance of corners, in edges, within which two of these are one."""
+SURFACE_TRIALS = 14
+"""Most hypotheses whose pose is refined on the whole surface of a well-rounded die."""
+MOST_DIRECT = 4
+"""Those of them that are not refined on its edges before."""
+APART_EDGES = 0.06
+"""Distance of corners, in edges, from which two of these lie apart."""
 CLEAR_SUPPORT = 0.8
 """Share of the contour with a clear step that shows a die beyond doubt: a rod in front of it takes away more."""
 LOST_FRAMES = 2
@@ -309,30 +311,37 @@ class FrameTracker:
         return best
 
     def _trials(self, image: NDArray[np.float32], expected: State, P: Array) -> Iterator[tuple[Pose, State]]:
-        """Refined poses with the states that led to them: where the motion leads, then the hypotheses. Where the whole surface of
-        the die is compared, those that explain its edges best are refined further."""
+        """Refined poses with the states that led to them: where the motion leads, then the hypotheses."""
         first = self._refined(image, expected, 1, motion_prior(P, self.view.settings))
         if first is not None:
             yield first, expected
         others = islice(self._other_states(expected), self.view.quality.max_hypotheses)
-        on_edges = self.view.shows_surface(expected.position_m)
-        found = ((self._refined(image, s, c, None, on_edges), s) for s, c in others)
-        trials = ((pose, state) for pose, state in found if pose is not None)
-        if not on_edges:
-            yield from trials
-            return
-        tried: list[Pose] = []
-        for pose, state in sorted(trials, key=lambda trial: trial[0].cost):
-            here = pose.position_m, pose.rotation
-            if any(same_picture(self.view, here, (p.position_m, p.rotation), SAME_TRIAL_EDGES) for p in tried):
-                continue
-            tried.append(pose)
-            start = replace(state, position_m=pose.position_m, quaternion=quat_from_matrix(pose.rotation))
-            refined = self._refined(image, start, 0, None)
-            if refined is not None:
-                yield refined, state
-            if len(tried) == SURFACE_TRIALS:
-                return
+        if self.view.shows_surface(expected.position_m):
+            others = islice(self._apart(self._surface_starts(image, [*others])), SURFACE_TRIALS)
+        for state, coarse in others:
+            pose = self._refined(image, state, coarse, None)
+            if pose is not None:
+                yield pose, state
+
+    def _surface_starts(
+        self, image: NDArray[np.float32], states: list[tuple[State, int]]
+    ) -> Iterator[tuple[State, int]]:
+        """The states from which the whole surface of a die is refined, which takes far longer than its edges: a few as they are,
+        then where edges lead, the best first. Edges reach farther, and have wrong optima."""
+        yield from islice(self._apart(states), MOST_DIRECT)
+        refined = [(self._refined(image, state, coarse, None, edges_alone=True), state) for state, coarse in states]
+        known = [(pose, state) for pose, state in refined if pose is not None]
+        for pose, state in sorted(known, key=lambda trial: trial[0].cost):
+            yield replace(state, position_m=pose.position_m, quaternion=quat_from_matrix(pose.rotation)), 0
+
+    def _apart(self, states: Iterable[tuple[State, int]]) -> Iterator[tuple[State, int]]:
+        """Of states that draw nearly the same die the first."""
+        kept: list[tuple[Array, Array]] = []
+        for state, coarse in states:
+            here = state.position_m, state.rotation
+            if not any(same_picture(self.view, here, there, APART_EDGES) for there in kept):
+                kept.append(here)
+                yield state, coarse
 
     def _refined(
         self, image: NDArray[np.float32], start: State, coarse: int, prior: Array | None, edges_alone: bool = False

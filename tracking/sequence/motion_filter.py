@@ -50,7 +50,7 @@ from ..picture import (
     turn_from,
     update_occluder_mask,
 )
-from ..pose import LEAST_CONTOUR_PX, WELL_SEEN, refine_and_score, seen_distance_m, store_frame
+from ..pose import LEAST_CONTOUR_PX, WELL_SEEN, refine_uncertain, seen_distance_m, store_frame
 from .acceptance import (
     ACCEPTED_EXCESS_COST,
     BOUNCE_REACH,
@@ -90,6 +90,10 @@ TWO_COARSE_PX = 0.6
 """The same for two coarse steps."""
 ONE_COARSE_PX = 0.3
 """The same for one coarse step."""
+ENOUGH_EXCESS_COST = 0.1
+"""Cost above the usual up to which a pose of a well-rounded die is not compared with others (`refine_uncertain`)."""
+LIGHT_FRAMES = 8
+"""One in so many poses of a flight is compared in any case: the usual cost follows that of a pose that leads away."""
 DELAY_ITERATIONS = 3
 """Iterations for the instant at which a rolling shutter exposes a moving die."""
 
@@ -286,7 +290,8 @@ def track_frames(
         if windows.pixels.shape[1] == 0:
             return k
         prior = motion_prior(P_ahead, settings)
-        p, Q, cost = refine_and_score(windows, model, predicted, prior, coarse, work, equations)
+        enough = clock[1] + ENOUGH_EXCESS_COST if clock[2] % LIGHT_FRAMES > 0.0 else 0.0
+        p, Q, cost = refine_uncertain(windows, model, predicted, prior, coarse, enough, work, equations)
         new = clock[2] < MIN_POSES_OF_FLIGHT
         far_m = FIRST_POSES_REACH * reach if new else NEW_FLIGHT_REACH * reach
         far_rad = FIRST_POSES_RAD if new else NEW_FLIGHT_RAD

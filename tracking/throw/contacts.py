@@ -508,7 +508,7 @@ def _without_link(observations: WeightedPoses, chain: FlightChain, k: int, prior
 
 def _without_spurious_impacts(observations: WeightedPoses, chain: FlightChain, die: Die, priors: Priors) -> FlightChain:
     """The chain without open links at which nothing can have struck: the motion before, continued to the first inlier of the next
-    flight, stays clear of the table."""
+    flight, stays clear of the table. Where no one motion explains most of the frames on both sides, the height is wrong."""
     impacts = vertex_impacts(die)
     for k, link in reversed(list(enumerate(chain.links))):
         if not link.is_open or not impacts:
@@ -521,8 +521,10 @@ def _without_spurious_impacts(observations: WeightedPoses, chain: FlightChain, d
             continue
         starts = [flight.start for j, flight in enumerate(chain.flights) if j != k + 1]
         links = [other for j, other in enumerate(chain.links) if j != k]
-        chain = priors.fit(observations, starts, links, chain.errors)
-        chain = priors.refit(observations, chain, chain.links, _error_model_of(observations, chain))
+        trial = priors.fit(observations, starts, links, chain.errors)
+        if trial.inlier_share(observations.time_s)[k] < KNOWN_FLIGHT_SHARE:
+            continue
+        chain = priors.refit(observations, trial, trial.links, _error_model_of(observations, trial))
     return chain
 
 

@@ -13,9 +13,12 @@ from diethrow.model.die.solid import SHAPES
 from diethrow.tracking.picture.segmentation import (
     DITHERED,
     background_noise,
+    differs_clearly,
     differs_from_background,
     largest_blob,
     level_step,
+    noise_beside_die,
+    pixel_noise,
     rounding_is_correlated,
     without_rims,
     without_shadow,
@@ -67,6 +70,34 @@ def test_a_die_in_the_picture_does_not_raise_the_noise_of_the_table() -> None:
     # The median of 40 000 pixels has an error of 1 %; a fifth of them, under the die, only raise it.
     assert background_noise(images, ROOM.table) == pytest.approx(2.0, rel=0.25)
     assert background_noise([ROOM.table], ROOM.table) == 0.3
+
+
+def test_noise_that_a_codec_leaves_about_the_die_alone_is_that_of_the_clip() -> None:
+    quiet = replace(ROOM, noise_grey=0.0)
+    pictures = [np.asarray(ROOM.table, np.float32)]
+    for seed in range(4):
+        rng = np.random.default_rng([6, seed])
+        image = photograph(quiet, DICE["cube"], still(rng, 0.012), rng)
+        near = cv2.dilate((np.abs(image - ROOM.table) > 8.0).astype(np.uint8), np.ones((81, 81), np.uint8))
+        pictures.append(np.asarray(image + near * rng.normal(scale=2.0, size=image.shape), np.float32))
+    assert background_noise(pictures, ROOM.table) == 0.3
+    # The mean over 7 x 7 pixels takes a fiftieth of the variance away, and the penumbra adds some.
+    assert pixel_noise(pictures, ROOM.table).noise_grey == pytest.approx(2.0, rel=0.1)
+    assert noise_beside_die(ROOM.table, ROOM.table, 0.3) == 0.0
+
+
+def test_what_differs_clearly_is_the_die_without_its_faint_shadow() -> None:
+    faint = replace(ROOM, noise_grey=0.5, shadow=0.04)
+    rng = np.random.default_rng(8)
+    state = still(rng, 0.012)
+    image = photograph(faint, DICE["cube"], state, rng)
+    die = np.abs(photograph(replace(faint, shadow=0.0), DICE["cube"], state) - ROOM.table) > 8.0
+    mask = differs_from_background(image, ROOM.table, 0.5)
+    clear = differs_clearly(image, ROOM.table, mask)
+    assert mask.sum() > 1.3 * die.sum()
+    assert (clear & die).sum() > 0.9 * die.sum()
+    assert (clear & ~die).sum() < 0.1 * die.sum()
+    assert not differs_clearly(ROOM.table, ROOM.table, np.zeros(image.shape, bool)).any()
 
 
 def test_the_step_between_grey_levels_is_that_of_the_rounding() -> None:

@@ -13,6 +13,7 @@ from random_throws import random_quaternion
 from rounded_dice import photograph_rounded
 
 from diethrow.model.rotations import (
+    angle_between,
     matrix_from_quat,
     quat_from_matrix,
     quat_from_rotvec,
@@ -63,6 +64,50 @@ def test_poses_of_well_rounded_dice_come_back(radius_m: float, gloss_grey: float
     assert depth_mm < 0.5
     # 5.35 is right. Highlights, and a light with a terminator, which no polynomial of the normal has, leave more than is stated.
     assert nees < 6.0 * 5.35
+
+
+@pytest.mark.parametrize("coarse", [0, 2, 4])
+def test_a_well_rounded_die_is_brought_back_from_some_degrees_and_pixels_off(coarse: int) -> None:
+    """Its edges alone lead to other poses, most of all at a large blur."""
+    setting, die = replace(studio(), noise_grey=NOISE_GREY), replace(DICE["cube"], corner_radius_m=1.6e-3)
+    view, off_deg = setting.view(die), []
+    for k in range(STATES):
+        rng = np.random.default_rng([18, k])
+        state = State(0.0, np.array([0.0, 0.0, 0.02]), random_quaternion(rng), np.zeros(3), np.zeros(3))
+        image = photograph_rounded(setting, die, state, rng, gloss_grey=60.0)
+        axis, step = (way / np.linalg.norm(way) for way in rng.normal(size=(2, 3)))
+        turned = matrix_from_quat(quat_from_rotvec(np.radians(3.0) * axis)) @ state.rotation
+        pose = refine_pose(view, image, pose_state(state.position_m + 3e-4 * step, turned), coarse=coarse, roughly=True)
+        off_deg.append(np.degrees(angle_between(pose.rotation, state.rotation)))
+    assert np.mean(np.array(off_deg) < 1.0) > 0.9
+
+
+def test_a_light_of_which_nothing_is_known_does_not_take_marks_for_the_face_that_bears_them() -> None:
+    """Bright marks on dark faces are nearer to the mean grey of the die than the faces."""
+    setting, die = replace(studio(), noise_grey=1.0), replace(DICE["cube"], corner_radius_m=1.6e-3)
+    view, log_noise = setting.view(die), []
+    for seed in range(6):
+        turned = random_quaternion(np.random.default_rng(seed))
+        state = State(0.0, np.array([0.0, 0.0, 0.02]), turned, np.zeros(3), np.zeros(3))
+        picture = photograph_rounded(setting, die, state)
+        is_die = np.abs(picture - setting.table) > 8.0
+        picture[is_die] *= 0.25
+        rows, columns = np.indices(picture.shape)
+        marked = np.where(is_die & (rows % 12 < 5) & (columns % 12 < 5), picture + 120.0, picture)
+        poses = [
+            refine_pose(
+                view,
+                shown.astype(np.float32),
+                pose_state(state.position_m, state.rotation),
+                coarse=0,
+                roughly=True,
+            )
+            for shown in (picture, marked)
+        ]
+        log_noise.append([pose.log_noise for pose in poses])
+    # Weights about the light with which it begins left 0.85 more.
+    plain, with_marks = np.median(log_noise, axis=0)
+    assert with_marks < plain + 0.5
 
 
 def test_a_shadow_beside_a_part_of_the_contour_does_not_move_the_die() -> None:

@@ -26,6 +26,8 @@ from diethrow.tracking.picture.segmentation import Blob, differs_from_background
 from diethrow.tracking.picture.view import make_view
 from diethrow.tracking.pose.candidate_poses import (
     DISTANCE_FACTORS,
+    SAME_DISTANCE,
+    SAME_POSE_EDGES,
     STILL,
     _distinct_but_for_distance,
     _settled,
@@ -166,7 +168,7 @@ def test_where_a_candidate_ends_does_not_depend_on_where_it_began() -> None:
         picture = photograph_rounded(ROOM, small, state, rng, gloss_grey=40.0)
         starts = [pose_state(eye_m + share * (state.position_m - eye_m), state.rotation) for share in (0.95, 1.05)]
         once = [refine_pose(view, picture, start) for start in starts]
-        near, far = (_settled(view, picture[None], [(0.0, pose)], STILL)[0][1] for pose in once)
+        near, far = (_settled(view, picture[None], [(0.0, pose)], STILL, 0)[0][1] for pose in once)
         assert np.linalg.norm(once[1].position_m - once[0].position_m) > 0.4 * reach_m
         assert np.linalg.norm(far.position_m - near.position_m) < 0.02 * reach_m
         assert np.linalg.norm(far.position_m - state.position_m) < 0.2 * reach_m
@@ -178,7 +180,7 @@ def test_candidates_differ_in_more_than_their_distance() -> None:
         rng = np.random.default_rng(seed)
         picture = photograph_rounded(ROOM, WELL_ROUNDED, still(rng), rng, gloss_grey=40.0)
         found = pose_candidates(view, picture)
-        assert _distinct_but_for_distance(view, found) == list(range(len(found)))
+        assert _distinct_but_for_distance(view, found, SAME_DISTANCE, SAME_POSE_EDGES) == list(range(len(found)))
 
 
 def test_a_region_that_moves_across_the_picture_gives_the_velocity_across_the_line_of_sight() -> None:
