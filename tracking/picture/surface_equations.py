@@ -247,17 +247,24 @@ def _fill_median_changes(image: Any, corner: Any, grid: SurfaceGrid, level: floa
 
     Where the light is hardly known, weights about it would take the marks of a dark face for the face: they are nearer to the
     mean grey of the die."""
-    counts, values = np.zeros(len(change), np.int64), np.empty((len(change), grid.part.size))
-    for i in range(grid.part.shape[0]):
-        for j in range(grid.part.shape[1]):
-            part = grid.part[i, j]
-            if grid.side[i, j] != NOTHING and grid.share[i, j] > PURE_SHARE and part != NOTHING:
-                e = image[grid.y0 + i - corner[1], grid.x0 + j - corner[0]] - grid.glow[i, j]
-                values[part, counts[part]] = max(e + level, 0.0)
-                counts[part] += 1
+    parts, e = grid.part.shape, 0.0
+    counts, begins, values = np.zeros(len(change), np.int64), np.zeros(len(change), np.int64), np.empty(grid.part.size)
+    for filling in range(2):
+        for i in range(parts[0]):
+            for j in range(parts[1]):
+                part = grid.part[i, j]
+                if grid.side[i, j] != NOTHING and grid.share[i, j] > PURE_SHARE and part != NOTHING:
+                    if filling == 1:
+                        e = image[grid.y0 + i - corner[1], grid.x0 + j - corner[0]] - grid.glow[i, j]
+                        values[begins[part] + counts[part]] = max(e + level, 0.0)
+                    counts[part] += 1
+        if filling == 0:
+            for k in range(1, len(change)):
+                begins[k] = begins[k - 1] + counts[k - 1]
+            counts[:] = 0
     for k in range(len(change)):
         if counts[k] > 0:
-            change[k] = median_size(values[k], counts[k]) - level
+            change[k] = median_size(values[begins[k] : begins[k] + counts[k]], counts[k]) - level
 
 
 @inner_nogil

@@ -327,7 +327,7 @@ class FrameTracker:
         self, image: NDArray[np.float32], states: list[tuple[State, int]]
     ) -> Iterator[tuple[State, int]]:
         """The states from which the whole surface of a die is refined, which takes far longer than its edges: a few as they are,
-        then where edges lead, the best first. Edges reach farther, and have wrong optima."""
+        then where edges lead, the best first: edges have wrong optima."""
         yield from islice(self._apart(states), MOST_DIRECT)
         refined = [(self._refined(image, state, coarse, None, edges_alone=True), state) for state, coarse in states]
         known = [(pose, state) for pose, state in refined if pose is not None]
