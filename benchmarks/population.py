@@ -49,7 +49,7 @@ from accuracy import (
     turn_errors,
 )
 from numpy.typing import NDArray
-from population_clips import RENDERER_VERSION, draw_clip, write_random_clip
+from population_clips import RENDERER_VERSION, Draw, draw_clip, write_random_clip
 from scipy.stats import binomtest, chi2
 
 from diethrow.analysis import RunError, Tracking, silent
@@ -147,15 +147,7 @@ def clip_result(clips: Path, seed: int, number: int, quality: str, kinds: tuple[
     result: dict[str, Any] = {"clip": number, "kinds": draw.kinds, "outcome": "skipped"}
     if kinds and not set(kinds) & set(draw.kinds):
         return result
-    folder = clips / f"{number:04d}"
-    if not folder.exists():
-        clips.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=clips) as scratch:
-            whole = Path(scratch) / "clip"
-            whole.mkdir()
-            write_random_clip(draw, whole)
-            with suppress(OSError):  # where another process has rendered the same clip meanwhile
-                whole.rename(folder)
+    folder = rendered_clip(clips, draw, number)
     began = time.perf_counter()
     try:
         scene = read_scene(folder / "scene.toml")
@@ -169,6 +161,20 @@ def clip_result(clips: Path, seed: int, number: int, quality: str, kinds: tuple[
     except Exception as error:  # a crash on one clip is a result of the benchmark
         result |= {"outcome": "crashed", "reason": f"{type(error).__name__}: {error}"}
     return result | {"seconds": round(time.perf_counter() - began, 2)}
+
+
+def rendered_clip(clips: Path, draw: Draw, number: int) -> Path:
+    """The folder of a clip, which is rendered where it is not there yet."""
+    folder = clips / f"{number:04d}"
+    if not folder.exists():
+        clips.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=clips) as scratch:
+            whole = Path(scratch) / "clip"
+            whole.mkdir()
+            write_random_clip(draw, whole)
+            with suppress(OSError):  # where another process has rendered the same clip meanwhile
+                whole.rename(folder)
+    return folder
 
 
 def compared(scene: Scene, truth: Truth, tracking: Tracking, fit: Fit, chi: float) -> dict[str, Any]:

@@ -8,18 +8,16 @@ of the true pose. Frames whose refinement from the true pose itself ends farther
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from population import DEFAULT_CACHE, progress
-from population_clips import RENDERER_VERSION, draw_clip, write_random_clip
-from single_frames import true_poses, view_of
+from population import rendered_clip
+from population_clips import draw_clip
+from single_frames import over_clips, true_poses, view_of
 
-from diethrow.executors import Processes, cores
 from diethrow.model.rotations import angle_between, matrix_from_quat, quat_from_rotvec
 from diethrow.tracking.pose import pose_state, refine_pose
 
@@ -37,16 +35,7 @@ NEAR_DEG = 2.0
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Render, refine, and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--clips", type=int, default=48, help="number of clips (%(default)s)")
-    parser.add_argument("--seed", type=int, default=1, help="(%(default)s)")
-    parser.add_argument("--cache", type=Path, default=DEFAULT_CACHE, help="folder of clips (%(default)s)")
-    parser.add_argument("--workers", type=int, default=cores(), help="processes (%(default)s)")
-    chosen = parser.parse_args(arguments)
-    clips = chosen.cache / f"seed{chosen.seed}_v{RENDERER_VERSION}"
-    with Processes(chosen.workers) as processes:
-        work = [processes.submit(clip_came_back, clips, chosen.seed, k) for k in range(chosen.clips)]
-        found = np.concatenate([*progress(work)])
+    found = np.concatenate(over_clips(__doc__, arguments, clip_came_back))
     print(f"{len(found)} frames; came back [%]")
     heads = [f"{way}, {coarse} coarse" for way in ("edges", "surface") for coarse in COARSE]
     print("  ".join(["start".ljust(12), *heads]))
@@ -60,10 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def clip_came_back(clips: Path, seed: int, number: int) -> Array:
     """(frames, 2, starts, coarse) whether the frames of a clip came back, by edges and by the surface; no frames if the die is
     compared by its edges."""
-    folder, draw = clips / f"{number:04d}", draw_clip(seed, number)
-    if not folder.exists():
-        folder.mkdir(parents=True)
-        write_random_clip(draw, folder)
+    draw = draw_clip(seed, number)
+    folder = rendered_clip(clips, draw, number)
     view, source = view_of(folder)
     poses = true_poses(folder, view, len(source))
     known = np.flatnonzero(poses.known)

@@ -9,7 +9,6 @@ curve counts as the exponent 0.45. Clips are rendered where they are missing in 
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Sequence
@@ -17,11 +16,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from population import DEFAULT_CACHE, progress
-from population_clips import RENDERER_VERSION, draw_clip, write_random_clip
-from single_frames import true_poses, view_of
+from population import rendered_clip
+from population_clips import draw_clip
+from single_frames import over_clips, true_poses, view_of
 
-from diethrow.executors import Processes, cores
 from diethrow.tracking.clip_parameters import BLUR_FRAMES, EstimatedResponse, estimate_lens_blur, estimate_response
 
 SRGB_EXPONENT = 0.45
@@ -55,17 +53,7 @@ class Found:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Render, estimate, and print the lines."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--clips", type=int, default=48, help="number of clips (%(default)s)")
-    parser.add_argument("--first", type=int, default=0, help="number of the first clip (%(default)s)")
-    parser.add_argument("--seed", type=int, default=1, help="(%(default)s)")
-    parser.add_argument("--cache", type=Path, default=DEFAULT_CACHE, help="folder of clips (%(default)s)")
-    parser.add_argument("--workers", type=int, default=cores(), help="processes (%(default)s)")
-    chosen = parser.parse_args(arguments)
-    clips = chosen.cache / f"seed{chosen.seed}_v{RENDERER_VERSION}"
-    with Processes(chosen.workers) as processes:
-        numbers = range(chosen.first, chosen.first + chosen.clips)
-        found = [*progress([processes.submit(estimated, clips, chosen.seed, k) for k in numbers])]
+    found = over_clips(__doc__, arguments, estimated)
     for one in sorted(found, key=lambda each: each.number):
         print(one.line)
     known = [(one, one.response) for one in found if one.response is not None]
@@ -82,10 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def estimated(clips: Path, seed: int, number: int) -> Found:
     """The estimate of one clip."""
-    folder, draw = clips / f"{number:04d}", draw_clip(seed, number)
-    if not folder.exists():
-        folder.mkdir(parents=True)
-        write_random_clip(draw, folder)
+    draw = draw_clip(seed, number)
+    folder = rendered_clip(clips, draw, number)
     view, source = view_of(folder, states_response=False)
     poses, clip = true_poses(folder, view, len(source)), source.clips[0]
     view = replace(view, blur_px=estimate_lens_blur(view, poses.sample(source.frame, poses.known, BLUR_FRAMES)))

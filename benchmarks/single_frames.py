@@ -14,15 +14,16 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from accuracy import read_columns, read_truth, rotations_onto
 from numpy.typing import NDArray
-from population import DEFAULT_CACHE, progress, squared_distances
-from population_clips import RENDERER_VERSION, draw_clip, write_random_clip
+from population import DEFAULT_CACHE, progress, rendered_clip, squared_distances
+from population_clips import RENDERER_VERSION, draw_clip
 
 from diethrow.commands.clip.footage import open_background, open_footage
 from diethrow.executors import Processes, cores
@@ -34,6 +35,7 @@ from diethrow.tracking.picture import PixelNoise, View, make_view, pixel_noise
 from diethrow.tracking.pose import ClipPoses, pose_state, refine_pose
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 FRAMES = 16
 """Frames of a clip, spread over those that show the whole die."""
@@ -56,18 +58,7 @@ HEADS = (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Render, refine, and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--clips", type=int, default=48, help="number of clips (%(default)s)")
-    parser.add_argument("--first", type=int, default=0, help="number of the first clip (%(default)s)")
-    parser.add_argument("--seed", type=int, default=1, help="(%(default)s)")
-    parser.add_argument("--cache", type=Path, default=DEFAULT_CACHE, help="folder of clips (%(default)s)")
-    parser.add_argument("--workers", type=int, default=cores(), help="processes (%(default)s)")
-    chosen = parser.parse_args(arguments)
-    clips = chosen.cache / f"seed{chosen.seed}_v{RENDERER_VERSION}"
-    with Processes(chosen.workers) as processes:
-        numbers = range(chosen.first, chosen.first + chosen.clips)
-        work = [processes.submit(clip_errors, clips, chosen.seed, k) for k in numbers]
-        found = [*progress(work)]
+    found = over_clips(__doc__, arguments, clip_errors)
     kinds = sorted({kind for kinds, _ in found for kind in kinds})
     rows = [HEADS, row_of("all", [errors for _, errors in found])]
     rows += [row_of(kind, [errors for kinds, errors in found if kind in kinds]) for kind in kinds]
@@ -77,13 +68,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
+def over_clips(doc: str | None, arguments: Sequence[str] | None, of_clip: Callable[[Path, int, int], T]) -> list[T]:
+    """What a function of the folder of clips, the seed and the number of a clip returns for the clips that the command line asks
+    for, in any order."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--clips", type=int, default=48, help="number of clips (%(default)s)")
+    parser.add_argument("--first", type=int, default=0, help="number of the first clip (%(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="(%(default)s)")
+    parser.add_argument("--cache", type=Path, default=DEFAULT_CACHE, help="folder of clips (%(default)s)")
+    parser.add_argument("--workers", type=int, default=cores(), help="processes (%(default)s)")
+    chosen = parser.parse_args(arguments)
+    clips = chosen.cache / f"seed{chosen.seed}_v{RENDERER_VERSION}"
+    with Processes(chosen.workers) as processes:
+        numbers = range(chosen.first, chosen.first + chosen.clips)
+        return [*progress([processes.submit(of_clip, clips, chosen.seed, k) for k in numbers])]
+
+
 def clip_errors(clips: Path, seed: int, number: int) -> tuple[tuple[str, ...], Array]:
     """The kinds of a clip, and (2, frames, 4) errors by edges and as tracked: rotation [deg], across and along the line of
     sight [mm], squared in the stated covariance; NaN where a frame gave no pose."""
-    folder, draw = clips / f"{number:04d}", draw_clip(seed, number)
-    if not folder.exists():
-        folder.mkdir(parents=True)
-        write_random_clip(draw, folder)
+    draw = draw_clip(seed, number)
+    folder = rendered_clip(clips, draw, number)
     view, source = view_of(folder)
     poses = true_poses(folder, view, len(source))
     lit = with_light(view, source.frame, poses)

@@ -41,8 +41,8 @@ ROUGH_PX = 7
 LEAST_RING_PX = 200
 """Fewest pixels that show it."""
 NOISIER = 1.25
-"""Ratio of this noise to that of the still background from which it counts: they differ by less in 30 of 33 random clips, most of
-which have noise of one size everywhere."""
+"""Ratio of this noise to that of the still background from which it counts: it is larger on 6 of 40 random clips, most of which
+have noise of one size everywhere."""
 LEAST_DIFFERENCE_GREY = 0.1
 """Least difference whose logarithm is taken."""
 SHADOW_WINDOW_PX = 9

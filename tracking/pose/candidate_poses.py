@@ -301,10 +301,15 @@ def _die_regions(view: View, image: Image) -> Iterator[list[Blob]]:
     # Bulky parts stay separate: a small die and its shadow lie a few pixels apart.
     bulky = largest_blob(without_rims(image, view.background, mask, lit), holes_px=1)
     bright = largest_blob(mask & (image > view.background))
-    clear = largest_blob(differs_clearly(image, view.background, mask))
-    for readings in ((bulky, bright), (largest_blob(lit), largest_blob(mask)), (clear,)):
-        inside = [b for b in readings if b is not None and not b.touches_border]
-        yield list({(b.box, b.area_px): b for b in inside}.values())
+    yield _inside_picture(bulky, bright)
+    yield _inside_picture(largest_blob(lit), largest_blob(mask))
+    yield _inside_picture(largest_blob(differs_clearly(image, view.background, mask)))
+
+
+def _inside_picture(*readings: Blob | None) -> list[Blob]:
+    """Those regions that exist and are not cut by the border, each once."""
+    inside = [blob for blob in readings if blob is not None and not blob.touches_border]
+    return list({(blob.box, blob.area_px): blob for blob in inside}.values())
 
 
 def _masks(view: View, image: Image) -> tuple[Mask, Mask]:
