@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die
+from ...model.rotations import matrix_from_quat
 from ..camera import Camera
 from ..footage import Clip
 from ..throw import first_supported_row, rows_without_outliers, weighted_poses
@@ -196,7 +197,8 @@ def find_frame_times(
         return FrameTimes.as_filmed(clip)
     interval = float(np.median(np.diff(clip.times_s))) if interval_s is None else interval_s
     copies = repeated_pictures(track, die, camera, clip.frame, excluded)
-    found = FrameTimes(np.asarray(clip.times_s, float), _faults(track, die, copies, interval), True)
+    whole = _wholly_in_view(track, die, camera)
+    found = FrameTimes(np.asarray(clip.times_s, float), _faults(track, die, copies, whole, interval), True)
     if found.changes and clip.metadata().get("time_stamps"):
         return found.uncorrected("the file states the time of every frame, and the motion contradicts it", clip)
     return replace(found, times_s=_corrected(found.times_s, track.frame, found.faults, interval))
@@ -210,9 +212,19 @@ def joined(earlier: FrameTimes, later: FrameTimes) -> FrameTimes:
     return replace(later, faults=faults)
 
 
-def _faults(track: Track, die: Die, copies: Rows, interval_s: float) -> tuple[FrameFault, ...]:
-    """Every fault, in order."""
-    use = np.setdiff1d(np.flatnonzero(track.tracked), copies)
+def _wholly_in_view(track: Track, die: Die, camera: Camera) -> Rows:
+    """Rows with a pose whose die lies within the picture. Errors of poses that the border of the picture cuts are not those that
+    they state, and grow as the die leaves: beside it the motion of a sound clip once seemed to step by a frame."""
+    rows = np.flatnonzero(track.tracked)
+    corners = np.einsum("nij,vj->nvi", matrix_from_quat(track.quaternion[rows]), die.solid.vertices)
+    px = camera.project(corners + track.position_m[rows, None])
+    inside = (px >= 0.0) & (px <= np.array([camera.width_px - 1, camera.height_px - 1]))
+    return rows[inside.all((1, 2))]
+
+
+def _faults(track: Track, die: Die, copies: Rows, whole: Rows, interval_s: float) -> tuple[FrameFault, ...]:
+    """Every fault, in order, by poses of the rows `whole` that are no copies."""
+    use = np.setdiff1d(whole, copies)
     if len(use) < MIN_POSES:
         return ()
     observations = weighted_poses(track, use)

@@ -15,7 +15,15 @@ from diethrow.tracking.check.clip_quality import FrameTiming
 from diethrow.tracking.check.verdicts import Verdict, _timing
 from diethrow.tracking.quality import FAST
 from diethrow.tracking.sequence import ClipFacts
-from diethrow.tracking.timing import ClipClock, FaultKind, TimedTracking, Timing, clip_at_times, track_clip_in_time
+from diethrow.tracking.timing import (
+    ClipClock,
+    FaultKind,
+    TimedTracking,
+    Timing,
+    clip_at_times,
+    find_frame_times,
+    track_clip_in_time,
+)
 
 Rows = NDArray[np.int64]
 ROOM = replace(studio(), noise_grey=2.0)
@@ -94,6 +102,16 @@ def test_times_that_the_file_states_are_not_corrected() -> None:
     assert [fault.kind for fault in timed.times.faults] == [FaultKind.MISSING]
     assert np.array_equal(timed.tracked.track.time_s, clip.times_s)
     assert "the file states the time of every frame" in timed.times.notices[0]
+
+
+def test_frames_that_the_border_cuts_are_no_clock() -> None:
+    clip = holding(np.delete(np.arange(FRAMES), 12))
+    track = tracked(clip, "as-filmed").tracked.track
+    assert [fault.before for fault in find_frame_times(track, CUBE, ROOM.camera, clip).faults] == [11]
+    cut = int(ROOM.camera.project(track.position_m[16])[1])
+    below = replace(ROOM.camera, matrix=ROOM.camera.matrix - [[0, 0, 0], [0, 0, cut], [0, 0, 0]])
+    cropped = ArrayClip(clip.array[:, cut:], clip.times_s)
+    assert find_frame_times(track, CUBE, replace(below, height_px=clip.array.shape[1] - cut), cropped).faults == ()
 
 
 def test_a_clip_at_other_times_has_the_same_pictures() -> None:
