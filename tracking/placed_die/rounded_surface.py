@@ -101,6 +101,16 @@ def fill_nearest_contour(segments: Any, x: float, y: float, out: Any) -> None:
 
 
 @inner_no_memory
+def is_far_outside(segments: Any, x: float, y: float, far: float) -> bool:
+    """Whether a pixel lies beyond the line of a side by more than `far` [px], and so beyond the contour: it costs less than the
+    distance."""
+    for k in range(segments.shape[0]):
+        if segments[k, 5] * x + segments[k, 6] * y + segments[k, 7] < -far:
+            return True
+    return False
+
+
+@inner_no_memory
 def pixels_about(vertex_px: Any, margin: float, window: Any) -> tuple[int, int, int, int]:
     """The part (x0, y0, x1, y1; end exclusive) of a window with all vertices and a margin [px]."""
     low_x, low_y, high_x, high_y = 1e9, 1e9, -1e9, -1e9
@@ -229,59 +239,104 @@ def fill_ray(rig: CameraRig, view: int, pose: PoseState, about: Any, x: float, y
 
 
 @inner_no_memory
-def part_on_ray(shape: Shape, face_cosine: Any, ray: Any, hit: Any) -> int:
+def part_on_ray(shape: Shape, face_cosine: Any, ray: Any, beside: int, hit: Any) -> int:
     """The strip or corner of a rounded die that a ray meets first, and in `hit` (6,) the normal there and the middle of the
     ball that it meets, all in axes of the die; NOTHING if it meets none. Flat faces are not asked, nor what lies between
-    two that are turned away."""
+    two that are turned away.
+
+    `beside` is the part that a pixel nearby shows, or NOTHING. It is asked first, and mostly is the one: where a normal is one
+    of the part's own, the ray meets it on the surface, which it enters once."""
+    nf, ne = shape.normals.shape[0], shape.edges.shape[0]
     o0, o1, o2 = ray[0, 0], ray[0, 1], ray[0, 2]
     d0, d1, d2 = ray[1, 0], ray[1, 1], ray[1, 2]
     size = sqrt(d0 * d0 + d1 * d1 + d2 * d2)
     d0, d1, d2 = d0 / size, d1 / size, d2 / size
-    radius, nf, ne = shape.radius, shape.normals.shape[0], shape.edges.shape[0]
+    if nf <= beside < nf + ne:
+        if _to_strip(shape, beside - nf, (o0, o1, o2), (d0, d1, d2), MISSED, hit) < MISSED:
+            if _is_normal_of_strip(shape, beside - nf, hit):
+                return beside
+    elif beside >= nf + ne:
+        if _to_corner(shape, beside - nf - ne, (o0, o1, o2), (d0, d1, d2), MISSED, hit) < MISSED:
+            if _is_normal_of_corner(shape, beside - nf - ne, hit):
+                return beside
     nearest, part = MISSED, NOTHING
     for e in range(ne):
         if face_cosine[shape.edge_faces[e, 0]] <= 0.0 and face_cosine[shape.edge_faces[e, 1]] <= 0.0:
             continue
-        p, q = shape.vertices[shape.edges[e, 0]], shape.vertices[shape.edges[e, 1]]
-        a0, a1, a2 = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-        aa = a0 * a0 + a1 * a1 + a2 * a2
-        w0, w1, w2 = o0 - p[0], o1 - p[1], o2 - p[2]
-        da, wa = d0 * a0 + d1 * a1 + d2 * a2, w0 * a0 + w1 * a1 + w2 * a2
-        A = 1.0 - da * da / aa
-        B = w0 * d0 + w1 * d1 + w2 * d2 - da * wa / aa
-        C = w0 * w0 + w1 * w1 + w2 * w2 - wa * wa / aa - radius * radius
-        disc = B * B - A * C
-        if disc < 0.0 or A <= 0.0:
-            continue
-        t = (-B - sqrt(disc)) / A
-        s = (wa + t * da) / aa
-        if s < 0.0 or s > 1.0 or t >= nearest:
-            continue
-        nearest = t
-        n0, n1 = w0 + t * d0 - s * a0, w1 + t * d1 - s * a1
-        n2 = w2 + t * d2 - s * a2
-        hit[0], hit[1], hit[2] = n0 / radius, n1 / radius, n2 / radius
-        hit[3], hit[4], hit[5] = p[0] + s * a0, p[1] + s * a1, p[2] + s * a2
-        part = nf + e
-        f, g = shape.normals[shape.edge_faces[e, 0]], shape.normals[shape.edge_faces[e, 1]]
-        outward = hit[0] * (f[0] + g[0]) + hit[1] * (f[1] + g[1]) + hit[2] * (f[2] + g[2])
-        turned = hit[0] * (g[0] - f[0]) + hit[1] * (g[1] - f[1]) + hit[2] * (g[2] - f[2])
-        if outward > 0.0 and abs(turned) < 1.0 - (f[0] * g[0] + f[1] * g[1] + f[2] * g[2]):
-            # A normal between those of the faces is on the surface, which a ray enters once.
-            return part
+        t = _to_strip(shape, e, (o0, o1, o2), (d0, d1, d2), nearest, hit)
+        if t < nearest:
+            nearest, part = t, nf + e
+            if _is_normal_of_strip(shape, e, hit):
+                return part
     for i in range(shape.vertices.shape[0]):
-        p = shape.vertices[i]
-        w0, w1, w2 = o0 - p[0], o1 - p[1], o2 - p[2]
-        B = w0 * d0 + w1 * d1 + w2 * d2
-        disc = B * B - (w0 * w0 + w1 * w1 + w2 * w2 - radius * radius)
-        if disc < 0.0:
-            continue
-        t = -B - sqrt(disc)
+        t = _to_corner(shape, i, (o0, o1, o2), (d0, d1, d2), nearest, hit)
         if t < nearest:
             nearest, part = t, nf + ne + i
-            hit[0], hit[1], hit[2] = (w0 + t * d0) / radius, (w1 + t * d1) / radius, (w2 + t * d2) / radius
-            hit[3], hit[4], hit[5] = p[0], p[1], p[2]
     return part
+
+
+@inner_no_memory
+def _to_strip(shape: Shape, e: int, origin: Any, direction: Any, nearest: float, hit: Any) -> float:
+    """How far along a ray, of unit `direction`, the cylinder about an edge is. Where that is nearer than `nearest`, `hit` (6,) is
+    filled; else MISSED."""
+    p, q = shape.vertices[shape.edges[e, 0]], shape.vertices[shape.edges[e, 1]]
+    d0, d1, d2 = direction
+    a0, a1, a2 = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    w0, w1, w2 = origin[0] - p[0], origin[1] - p[1], origin[2] - p[2]
+    aa = a0 * a0 + a1 * a1 + a2 * a2
+    da, wa, radius = d0 * a0 + d1 * a1 + d2 * a2, w0 * a0 + w1 * a1 + w2 * a2, shape.radius
+    A = 1.0 - da * da / aa
+    B = w0 * d0 + w1 * d1 + w2 * d2 - da * wa / aa
+    C = w0 * w0 + w1 * w1 + w2 * w2 - wa * wa / aa - radius * radius
+    disc = B * B - A * C
+    if disc < 0.0 or A <= 0.0:
+        return MISSED
+    t = (-B - sqrt(disc)) / A
+    s = (wa + t * da) / aa
+    if s < 0.0 or s > 1.0 or t >= nearest:
+        return MISSED
+    hit[0], hit[1] = (w0 + t * d0 - s * a0) / radius, (w1 + t * d1 - s * a1) / radius
+    hit[2] = (w2 + t * d2 - s * a2) / radius
+    hit[3], hit[4], hit[5] = p[0] + s * a0, p[1] + s * a1, p[2] + s * a2
+    return t
+
+
+@inner_no_memory
+def _is_normal_of_strip(shape: Shape, e: int, normal: Any) -> bool:
+    """Whether a normal at right angles to an edge lies between those of its faces."""
+    f, g = shape.normals[shape.edge_faces[e, 0]], shape.normals[shape.edge_faces[e, 1]]
+    outward = normal[0] * (f[0] + g[0]) + normal[1] * (f[1] + g[1]) + normal[2] * (f[2] + g[2])
+    turned = normal[0] * (g[0] - f[0]) + normal[1] * (g[1] - f[1]) + normal[2] * (g[2] - f[2])
+    return outward > 0.0 and abs(turned) < 1.0 - (f[0] * g[0] + f[1] * g[1] + f[2] * g[2])
+
+
+@inner_no_memory
+def _to_corner(shape: Shape, i: int, origin: Any, direction: Any, nearest: float, hit: Any) -> float:
+    """As `_to_strip`, of the ball about a vertex."""
+    p, radius = shape.vertices[i], shape.radius
+    d0, d1, d2 = direction
+    w0, w1, w2 = origin[0] - p[0], origin[1] - p[1], origin[2] - p[2]
+    B = w0 * d0 + w1 * d1 + w2 * d2
+    disc = B * B - (w0 * w0 + w1 * w1 + w2 * w2 - radius * radius)
+    if disc < 0.0:
+        return MISSED
+    t = -B - sqrt(disc)
+    if t >= nearest:
+        return MISSED
+    hit[0], hit[1], hit[2] = (w0 + t * d0) / radius, (w1 + t * d1) / radius, (w2 + t * d2) / radius
+    hit[3], hit[4], hit[5] = p[0], p[1], p[2]
+    return t
+
+
+@inner_no_memory
+def _is_normal_of_corner(shape: Shape, i: int, normal: Any) -> bool:
+    """Whether no vertex lies farther out along a normal than vertex i."""
+    p = shape.vertices[i]
+    for k in range(shape.vertices.shape[0]):
+        q = shape.vertices[k]
+        if k != i and normal[0] * (q[0] - p[0]) + normal[1] * (q[1] - p[1]) + normal[2] * (q[2] - p[2]) >= 0.0:
+            return False
+    return True
 
 
 @inner_no_memory

@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...model.compiled import inner_no_memory, inner_nogil
+from ...model.compiled import inner_fast_sums_no_memory, inner_no_memory, inner_nogil
 from .kernel_types import LIGHT_DEGREE, LIGHT_TERMS, CameraRig, EdgeSampling, PictureModel, PoseState, Shape, Workspace
 from .projection import place_die, project_point, reach_of_die
 from .rounded_surface import (
@@ -38,6 +38,7 @@ from .rounded_surface import (
     fill_nearest_contour,
     fill_ray,
     flat_faces,
+    is_far_outside,
     motion_px,
     part_on_ray,
     rays_about_centre,
@@ -61,8 +62,13 @@ INWARD_PX = 0.5
 """A pixel on or outside the contour gets the derivatives of the point that lies this far inside it."""
 BLUR_REACH = 2.6
 """Half-width of the window of the blur, in blurs."""
+SEPARABLE_PX2 = 1.0
+"""Variance of the blur from which it is drawn along rows and then along columns: that of a coarse step. There the motion of one
+drawn instant has a covariance of at most NODE_PX² / 24."""
 WIDEST_BLUR = 12
 """Largest half-width of that window [half pixels]: blur beyond it is cut off."""
+WIDEST_SLOPE_PX = 3
+"""The same of the window in which derivatives by rotation and light are blurred [px]: they lead the steps, and need no more."""
 LEAST_VARIANCE_PX2 = 0.04
 """Least variance of the blur: a grid of half pixels shows no less."""
 PIXEL_VARIANCE_PX2 = 1.0 / 12.0
@@ -213,10 +219,13 @@ def _draw_instant(
     of_face = np.zeros(nf)
     for f in range(nf):
         of_face[f] = _brightness(mean, R, shape.normals[f]) + deviation[f]
+    part = np.int64(NOTHING)
     for i in range(grid.part.shape[0]):
         y = float(grid.y0 + i)
         for j in range(grid.part.shape[1]):
             x = float(grid.x0 + j)
+            if is_far_outside(segments, x, y, ball + CLOSE_PX):
+                continue
             fill_nearest_contour(segments, x, y, near)
             d = near[0] - ball
             if d > CLOSE_PX:
@@ -229,9 +238,9 @@ def _draw_instant(
                 d = near[0] - _ball_beyond_px(model, view, segments, near, work)
             elif d < -TURNING_PX and f == NOTHING:
                 fill_ray(rig, view, pose, about, x, y, ray)
-                f = part_on_ray(shape, work.face_cosine, ray, hit)
-                if f != NOTHING:
-                    _add_quarters(grid, i, j, weight, _brightness(mean, R, hit) + deviation[f])
+                part = part_on_ray(shape, work.face_cosine, ray, part, hit)
+                if part != NOTHING:
+                    _add_quarters(grid, i, j, weight, _brightness(mean, R, hit) + deviation[part])
                 continue
             for quarter in range(4):
                 a, b = quarter // 2, quarter % 2
@@ -247,14 +256,14 @@ def _draw_instant(
                     value = of_face[f]
                 else:
                     fill_ray(rig, view, pose, about, u, v, ray)
-                    f = part_on_ray(shape, work.face_cosine, ray, hit)
-                    if f == NOTHING:
+                    part = part_on_ray(shape, work.face_cosine, ray, part, hit)
+                    if part == NOTHING:
                         # By rounding the ray just misses the limb that it should graze.
                         fill_ray(rig, view, pose, about, u - 0.1 * near[1], v - 0.1 * near[2], ray)
-                        f = part_on_ray(shape, work.face_cosine, ray, hit)
-                        if f == NOTHING:
+                        part = part_on_ray(shape, work.face_cosine, ray, part, hit)
+                        if part == NOTHING:
                             continue
-                    value = _brightness(mean, R, hit) + deviation[f]
+                    value = _brightness(mean, R, hit) + deviation[part]
                 grid.covered[2 * i + a, 2 * j + b] += weight * inside
                 grid.shining[2 * i + a, 2 * j + b] += weight * inside * value
                 grid.moved[2 * i + a, 2 * j + b, 0] -= weight * inside * back * near[1]
@@ -309,17 +318,26 @@ def _face_with_room(lines: Any, count: Any, x: float, y: float) -> tuple[int, fl
 @inner_nogil
 def _blur(model: PictureModel, blur_px: float, exposed: Any, grid: SurfaceGrid) -> None:
     """Blur w and w B onto the pixels in use."""
-    xx, yy, xy = _variances(max(blur_px**2, LEAST_VARIANCE_PX2), exposed)
+    variances = _variances(max(blur_px**2, LEAST_VARIANCE_PX2), exposed)
+    if min(variances[0], variances[1]) > SEPARABLE_PX2:
+        _blur_rows_then_columns(variances, grid)
+    else:
+        _blur_at_once(variances, model.shape.normals.shape[0], grid)
+
+
+@inner_nogil
+def _blur_at_once(variances: Any, faces: int, grid: SurfaceGrid) -> None:
+    """Blur with a window of two dimensions, and with the places of parts of pieces within their pieces."""
+    xx, yy, xy = variances
     half = min(ceil(2.0 * BLUR_REACH * sqrt(max(xx, yy))), WIDEST_BLUR)
     det, weight = xx * yy - xy * xy, _window(2 * half, 0.5, (xx, yy, xy))
     rows, columns = grid.part.shape
     flat = half // 2 + 1
-    nf = model.shape.normals.shape[0]
     for i in range(rows):
         for j in range(columns):
             if grid.side[i, j] == NOTHING:
                 continue
-            if _same_about(grid.part, i, j, flat, nf):
+            if _same_about(grid.part, i, j, flat, faces):
                 grid.share[i, j] = grid.covered[2 * i, 2 * j]
                 grid.glow[i, j] = grid.shining[2 * i, 2 * j]
                 continue
@@ -352,6 +370,70 @@ def _blur(model: PictureModel, blur_px: float, exposed: Any, grid: SurfaceGrid) 
             out[0], out[1], out[2], out[3] = glow_x, glow_y, share_x, share_y
 
 
+@inner_nogil
+def _blur_rows_then_columns(variances: Any, grid: SurfaceGrid) -> None:
+    """Blur far wider than a pixel, along rows first and then along columns: motion at an angle to both, and where parts lie
+    within their pieces, then matter little."""
+    rows, columns = grid.part.shape
+    half = min(ceil(2.0 * BLUR_REACH * sqrt(max(variances[0], variances[1]))), WIDEST_BLUR)
+    along_x, along_y = _line_weights(half, variances[0]), _line_weights(half, variances[1])
+    across = np.empty((4, columns, 2 * rows))
+    for i in range(2 * rows):
+        for j in range(columns):
+            x = 2 * j + 1 - half
+            _sum_row(grid, i, j, x, (max(0, -x), min(2 * half, 2 * columns - x)), along_x, across)
+    for i in range(rows):
+        y = 2 * i + 1 - half
+        for j in range(columns):
+            if grid.side[i, j] != NOTHING:
+                _sum_column(grid, i, j, y, (max(0, -y), min(2 * half, 2 * rows - y)), along_y, across)
+
+
+@inner_nogil
+def _line_weights(half: int, variance: float) -> Any:
+    """(2, 2 half) a Gaussian on half pixels, of sum 1, and its derivative by the place of its middle."""
+    weights, total = np.empty((2, 2 * half)), 0.0
+    for a in range(2 * half):
+        u = 0.5 * (a - half) + 0.25
+        weights[0, a] = exp(-0.5 * u * u / variance)
+        total += weights[0, a]
+    for a in range(2 * half):
+        weights[0, a] /= total
+        weights[1, a] = weights[0, a] * (0.5 * (a - half) + 0.25) / variance
+    return weights
+
+
+@inner_fast_sums_no_memory
+def _sum_row(grid: SurfaceGrid, i: int, j: int, x: int, window: Any, weights: Any, across: Any) -> None:
+    """Fill the blurred w and w B at a column of pixels on a row of half pixels, and their derivatives by the column."""
+    share, glow, share_x, glow_x = 0.0, 0.0, 0.0, 0.0
+    covered, shining, here, by_x = grid.covered[i], grid.shining[i], weights[0], weights[1]
+    for b in range(window[0], window[1]):
+        w, g = covered[x + b], shining[x + b]
+        share += here[b] * w
+        glow += here[b] * g
+        share_x += by_x[b] * w
+        glow_x += by_x[b] * g
+    across[0, j, i], across[1, j, i], across[2, j, i], across[3, j, i] = share, glow, share_x, glow_x
+
+
+@inner_fast_sums_no_memory
+def _sum_column(grid: SurfaceGrid, i: int, j: int, y: int, window: Any, weights: Any, across: Any) -> None:
+    """Fill share, glow and gradients of a pixel from the blurred rows."""
+    share, glow, share_x, glow_x, share_y, glow_y = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    w, g, w_x, g_x, here, by_y = across[0, j], across[1, j], across[2, j], across[3, j], weights[0], weights[1]
+    for a in range(window[0], window[1]):
+        share += here[a] * w[y + a]
+        glow += here[a] * g[y + a]
+        share_x += here[a] * w_x[y + a]
+        glow_x += here[a] * g_x[y + a]
+        share_y += by_y[a] * w[y + a]
+        glow_y += by_y[a] * g[y + a]
+    grid.share[i, j], grid.glow[i, j] = share, glow
+    out = grid.gradient[i, j]
+    out[0], out[1], out[2], out[3] = glow_x, glow_y, share_x, share_y
+
+
 @inner_no_memory
 def _same_about(part: Any, i: int, j: int, flat: int, faces: int) -> bool:
     """Whether a pixel and those about it show one flat face, or nothing of the die."""
@@ -381,6 +463,10 @@ def fill_changes(
     exposed = motion_px(rig, view, pose, about, model.settings.exposure_s)
     ball, blur_px = ball_px(shape, rig, view, pose.position), sampling.blur_px
     near, hit, ray, point = np.zeros(5), np.zeros(6), np.zeros((2, 3)), np.zeros(3)
+    nf, part, mean = shape.normals.shape[0], np.int64(NOTHING), light.mean[view]
+    face_bright, face_slope = np.zeros(nf), np.zeros((nf, 3 + LIGHT_TERMS))
+    for f in range(nf):
+        face_bright[f] = _fill_brightness(pose.rotation, shape.normals[f], mean, face_slope[f])
     turned = abs(exposed[2]) * 0.5 * max(grid.part.shape[0], grid.part.shape[1])
     widest = sqrt(exposed[0] ** 2 + exposed[1] ** 2) + turned
     far = FAR_BLURS * sqrt(blur_px * blur_px + widest * widest / 12.0)
@@ -389,6 +475,8 @@ def fill_changes(
         for j in range(grid.part.shape[1]):
             x = float(grid.x0 + j)
             if isnan(background[grid.y0 + i, grid.x0 + j]):
+                continue
+            if is_far_outside(segments, x, y, ball + sampling.band_px + far):
                 continue
             fill_nearest_contour(segments, x, y, near)
             d, nx, ny = near[0] - ball, near[1], near[2]
@@ -409,20 +497,26 @@ def fill_changes(
                 continue
             inward = max(d + INWARD_PX, 0.0)
             u, v = x - inward * nx, y - inward * ny
-            f = face_at(lines, count, u, v)
-            fill_ray(rig, view, pose, about, u, v, ray)
-            if f == NOTHING:
-                f = part_on_ray(shape, work.face_cosine, ray, hit)
-                if f == NOTHING:
+            f, room = _face_with_room(lines, count, u, v)
+            if f != NOTHING:
+                grid.part[i, j], grid.bright[i, j] = f, light.part_deviation[view, f] + face_bright[f]
+                slope = grid.slope[i, j]
+                for q in range(3 + LIGHT_TERMS):
+                    slope[q] = face_slope[f, q]
+                if d < -far and room > far:
+                    continue
+                fill_ray(rig, view, pose, about, u, v, ray)
+                _fill_point_of_face(shape, f, ray, point)
+            else:
+                fill_ray(rig, view, pose, about, u, v, ray)
+                part = part_on_ray(shape, work.face_cosine, ray, part, hit)
+                if part == NOTHING:
                     continue
                 for q in range(3):
                     point[q] = hit[3 + q] + shape.radius * hit[q]
-            else:
-                _fill_point_of_face(shape, f, ray, hit, point)
+                grid.part[i, j], grid.bright[i, j] = part, light.part_deviation[view, part]
+                grid.bright[i, j] += _fill_brightness(pose.rotation, hit, mean, grid.slope[i, j])
             _fill_flow(rig, view, pose, point, work.J, grid.flow[i, j])
-            grid.bright[i, j] = light.part_deviation[view, f]
-            grid.bright[i, j] += _fill_brightness(pose.rotation, hit, light.mean[view], grid.slope[i, j])
-            grid.part[i, j] = f
     return int(segments.shape[0]) * MOST_PIECES
 
 
@@ -451,13 +545,12 @@ def _ball_beyond_px(model: PictureModel, view: int, segments: Any, near: Any, wo
 
 
 @inner_no_memory
-def _fill_point_of_face(shape: Shape, f: int, ray: Any, hit: Any, point: Any) -> None:
-    """Fill the normal (3,) of a flat face, and where a ray meets it (3,) [m], in axes of the die."""
+def _fill_point_of_face(shape: Shape, f: int, ray: Any, point: Any) -> None:
+    """Fill where a ray meets a flat face (3,) [m], in axes of the die."""
     toward, away = 0.0, shape.offsets[f] + shape.radius
     for q in range(3):
-        hit[q] = shape.normals[f, q]
-        toward += hit[q] * ray[1, q]
-        away -= hit[q] * ray[0, q]
+        toward += shape.normals[f, q] * ray[1, q]
+        away -= shape.normals[f, q] * ray[0, q]
     for q in range(3):
         point[q] = ray[0, q] + away / toward * ray[1, q]
 
@@ -500,7 +593,7 @@ def blur_of_pixels(view: int, model: PictureModel, pose: PoseState, blur_px: flo
     about = rays_about_centre(model.rig, view, pose.position)
     exposed = motion_px(model.rig, view, pose, about, model.settings.exposure_s)
     variances = _variances(max(blur_px**2 - PIXEL_VARIANCE_PX2, PIXEL_VARIANCE_PX2), exposed)
-    half = min(ceil(BLUR_REACH * sqrt(max(variances[0], variances[1]))), WIDEST_BLUR // 2)
+    half = min(ceil(BLUR_REACH * sqrt(max(variances[0], variances[1]))), WIDEST_SLOPE_PX)
     return _window(2 * half + 1, 1.0, variances)
 
 

@@ -178,8 +178,8 @@ def refine_and_score(
     pose cost.
 
     The prior is about the start, with information `prior` (6, 6) [1/m, 1/rad]. The equations become those of the pixels
-    alone before the last step, both halves; H is zero if the pixels and the prior leave no solution. The cost is 0 if
-    the settings ask for no region cost.
+    alone before the last step, both halves; H is zero if the pixels and the prior leave no solution. The cost is 0 where
+    edges are compared and the settings ask for no region cost.
 
     The greys that stretches share are those of the step before. At the first step they are what the workspace holds:
     those of the frame before if the caller knows one, which saves two steps, or nothing.
@@ -251,14 +251,14 @@ def refine_and_score(
         if is_settled and (is_last or it > last):
             break
     cost = 0.0
-    if settings.region_pixels > 0:
+    region, differs = _surface_cost(work) if settings.whole_surface else (-1.0, 0.0)
+    if region >= 0.0:
+        cost = region + clear_steps_cost(statistics)
+        statistics[BACKGROUND_SHARE] = 1.0 - differs
+    elif settings.region_pixels > 0:
         pose = PoseState(p, Q, start.velocity, start.omega)
-        region, differs = _surface_cost(work) if settings.whole_surface else (-1.0, 0.0)
-        if region >= 0.0:
-            cost = region + clear_steps_cost(statistics)
-        else:
-            region, differs = region_cost(windows, model, pose, REGION_MARGIN_PX, work)
-            cost = pose_cost(region, statistics)
+        region, differs = region_cost(windows, model, pose, REGION_MARGIN_PX, work)
+        cost = pose_cost(region, statistics)
         statistics[BACKGROUND_SHARE] = 1.0 - differs
     return p, Q, cost
 
@@ -347,9 +347,9 @@ def store_frame(k: int, p: Any, Q: Any, cost: float, equations: NormalEquations,
 
 
 @compiled(nogil=True)
-def refine_frames(frames: Any, which: Any, model: PictureModel, rows: PoseRows) -> None:
+def refine_frames(frames: Any, which: Any, model: PictureModel, enough: float, rows: PoseRows) -> None:
     """Refine the poses of frames number `which` (m,) of many (n, cameras, height, width) in place, each from its own
-    start.
+    start; the whole surface of a die that still costs more than `enough` is compared from there in several ways.
 
     The `rows` (m,) hold the starts and the motions; a start whose position is NaN is left out. Most starts lie so near
     that the lens blur alone suffices. A pose that moves by more than COARSE_RESTART_PX, or is badly seen, begins again
@@ -374,7 +374,7 @@ def refine_frames(frames: Any, which: Any, model: PictureModel, rows: PoseRows) 
             if windows.pixels.shape[1] == 0:
                 break
             coarse = RESTART_COARSE_STEPS * again
-            p, Q, cost = refine_uncertain(windows, model, first, loose, coarse, 0.0, work, equations)
+            p, Q, cost = refine_uncertain(windows, model, first, loose, coarse, enough, work, equations)
             store_frame(k, p, Q, cost, equations, rows)
             seen = (
                 statistics[CLEAR_PX] > WELL_SEEN * statistics[CONTOUR_PX] and statistics[CONTOUR_PX] > LEAST_CONTOUR_PX

@@ -34,7 +34,7 @@ from ..picture import (
 from ..pose import LEAST_CONTOUR_PX, ClipPoses, covariances, refine_frames, seen_distance_m, weak_priors
 from .acceptance import KNOWN_RAD, MIN_SUPPORT, MIN_SUPPORT_CUT
 from .labelling import with_labels_of_flights
-from .motion_filter import DELAY_ITERATIONS
+from .motion_filter import DELAY_ITERATIONS, ENOUGH_EXCESS_COST
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -82,13 +82,14 @@ class EdgeRefinement:
         view, tracked, count = self.view, self.tracked, len(self.source)
         rows = rows & self.usable
         settings = view.settings._replace(min_step_px=self.min_step_px, contour_stretch_px=SHADED_STRETCH_PX)
-        reference = tracked
-        attempts = [_Attempt(view, settings, tracked, tracked.known & rows, self.offsets, np.zeros(count, bool))]
+        reference, enough = tracked, _enough_cost(tracked)
+        never = np.zeros(count, bool)
+        attempts = [_Attempt(view, settings, tracked, tracked.known & rows, self.offsets, never, enough)]
         if self.throw is not None:
             reference = _poses_on_flights(view, self.throw, self.source.times_s)
             from_both = rows & self._differ_from(reference)
             attempts = [
-                _Attempt(view, settings, some, use, self.offsets, from_both)
+                _Attempt(view, settings, some, use, self.offsets, from_both, enough)
                 for some, use in ((reference, rows), (tracked, from_both))
             ]
 
@@ -108,6 +109,12 @@ class EdgeRefinement:
         angle = angle_between(flights.rotation, self.tracked.rotation)
         is_far = (angle > SECOND_START_RAD) | (distance > SECOND_START_REACH * self.view.reach_m)
         return np.asarray(self.tracked.known & is_far)
+
+
+def _enough_cost(tracked: ClipPoses) -> float:
+    """The cost up to which a pose explains its picture as others of the clip do."""
+    costs = tracked.cost[tracked.known & np.isfinite(tracked.cost)]
+    return float(np.median(costs)) + ENOUGH_EXCESS_COST if len(costs) else np.inf
 
 
 def refine_blocks(source: FrameSource, boxes: NDArray[np.int64], jobs: Jobs, report: Callable[[int], None]) -> None:
@@ -165,14 +172,15 @@ class _Attempt:
         use: Mask,
         offsets: ClockOffsets,
         compared: Mask,
+        enough: float,
     ) -> None:
         """Rows in `use` are refined from `start`. The cost of the whole picture is computed in blocks with a `compared` frame:
-        one that has another initial pose as well."""
+        one that has another initial pose as well. Costs up to `enough` are usual on this clip."""
         in_view = shares_in_view(view, start.position_m, start.rotation) >= MIN_IN_VIEW
         self.rows: NDArray[np.int64] = np.flatnonzero(use & in_view)
         n = len(self.rows)
         self._view, self._settings, self._start, self._offsets = view, settings, start, offsets
-        self._compared = compared
+        self._compared, self._enough = compared, enough
         self._found = PoseRows(
             start.position_m[self.rows], start.rotation[self.rows], start.motion[self.rows],
             np.zeros((n, PARAMETERS, PARAMETERS)), np.zeros((n, STATISTICS)), np.full(n, np.inf),
@@ -204,9 +212,8 @@ class _Attempt:
     def _refine_with_rig(
         self, frames: Frames, which: Rows, own: slice, settings: RefinementSettings, rig: CameraRig
     ) -> None:
-        refine_frames(
-            frames, which, self._view.model(settings, rig), PoseRows(*(values[own] for values in self._found))
-        )
+        rows = PoseRows(*(values[own] for values in self._found))
+        refine_frames(frames, which, self._view.model(settings, rig), self._enough, rows)
 
     def poses(self, count: int) -> ClipPoses:
         """The accepted poses, as rows of a clip of so many frames."""

@@ -51,7 +51,7 @@ def part_at(
             normal[q] = shape.normals[face, q]
         return int(face)
     hit = np.zeros(6)
-    part = part_on_ray(shape, work.face_cosine, ray, hit)
+    part = part_on_ray(shape, work.face_cosine, ray, np.int64(NOTHING), hit)
     for q in range(3):
         normal[q] = hit[q]
     return int(part)
