@@ -104,10 +104,10 @@ def fill_nearest_contour(segments: Any, x: float, y: float, out: Any) -> None:
 def is_far_outside(segments: Any, x: float, y: float, far: float) -> bool:
     """Whether a pixel lies beyond the line of a side by more than `far` [px], and so beyond the contour: it costs less than the
     distance."""
+    least = 0.0
     for k in range(segments.shape[0]):
-        if segments[k, 5] * x + segments[k, 6] * y + segments[k, 7] < -far:
-            return True
-    return False
+        least = min(least, segments[k, 5] * x + segments[k, 6] * y + segments[k, 7])
+    return bool(least < -far)
 
 
 @inner_no_memory
@@ -252,13 +252,13 @@ def part_on_ray(shape: Shape, face_cosine: Any, ray: Any, beside: int, hit: Any)
     size = sqrt(d0 * d0 + d1 * d1 + d2 * d2)
     d0, d1, d2 = d0 / size, d1 / size, d2 / size
     if nf <= beside < nf + ne:
-        if _to_strip(shape, beside - nf, (o0, o1, o2), (d0, d1, d2), MISSED, hit) < MISSED:
-            if _is_normal_of_strip(shape, beside - nf, hit):
-                return beside
+        t, e = _to_strip(shape, beside - nf, (o0, o1, o2), (d0, d1, d2), MISSED, hit), beside - nf
+        if t < MISSED and _is_normal_of_strip(shape, e, hit):
+            return beside
     elif beside >= nf + ne:
-        if _to_corner(shape, beside - nf - ne, (o0, o1, o2), (d0, d1, d2), MISSED, hit) < MISSED:
-            if _is_normal_of_corner(shape, beside - nf - ne, hit):
-                return beside
+        t, i = _to_corner(shape, beside - nf - ne, (o0, o1, o2), (d0, d1, d2), MISSED, hit), beside - nf - ne
+        if t < MISSED and _is_normal_of_corner(shape, i, hit):
+            return beside
     nearest, part = MISSED, NOTHING
     for e in range(ne):
         if face_cosine[shape.edge_faces[e, 0]] <= 0.0 and face_cosine[shape.edge_faces[e, 1]] <= 0.0:
