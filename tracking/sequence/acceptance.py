@@ -11,6 +11,9 @@ from math import radians
 MIN_SUPPORT = 0.45
 """Least share of the contour with a clear step, of a die wholly in view. Random poses have 0.1 to 0.3; an edge before a table of
 the same grey has none."""
+ON_PATH_SUPPORT = 0.3
+"""The same of a pose that lies where its flight puts it: more than random poses have. A rounded die with a face as bright as the
+table has a clear step on a third of its contour."""
 MIN_SUPPORT_CUT = 0.6
 """The same of a die that is cut by the border: a shorter contour is supported by chance more often."""
 KNOWN_RAD = radians(6.0)

@@ -14,18 +14,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.die import Die, nearest_equivalent_rotation
+from ...model.die import nearest_equivalent_rotation
 from ...model.rotations import angle_between, matrix_from_quat, quat_from_matrix, quat_from_rotvec
 from ...model.throw import Flight, State
 from ..footage import FrameSource
 from ..picture import (
     PARAMETERS,
     STATISTICS,
+    SUPPORT_COST,
     PoseRows,
     View,
     Workspace,
     kept_light,
     new_workspace,
+    region_costs,
     share_in_view,
     with_occluder_mask,
 )
@@ -56,6 +58,7 @@ from .acceptance import (
     ON_PATH_CHI2,
     USUAL_COST_FRAMES,
 )
+from .impact_trials import beyond_impacts, different_rates
 from .motion_filter import (
     FIRST_POSES_RAD,
     FIRST_POSES_REACH,
@@ -93,6 +96,12 @@ SURFACE_TRIALS = 14
 """Most hypotheses whose pose is refined on the whole surface of a well-rounded die."""
 MOST_DIRECT = 4
 """Those of them that are not refined on its edges before."""
+MIN_POSES_BEFORE_IMPACT = 2
+"""Poses of a flight from which its motion says what an impact does."""
+WINDOW_SAMPLES = 6000
+"""Pixels of the window on which poses refined on edges are compared."""
+REFINED_ANEW = 4
+"""Hypotheses that are refined again if none explains the picture as usual: the few steps from afar may not have been enough."""
 APART_EDGES = 0.06
 """Distance of corners, in edges, from which two of these lie apart."""
 CLEAR_SUPPORT = 0.8
@@ -113,14 +122,6 @@ MIN_POSES_TO_SKIP = 20
 """Poses of a flight, or since a surprise, before frames are skipped: the motion averages over as many."""
 MAX_PREDICTION_SIGMA_PX = 0.3
 """Largest standard error [px] of a prediction over skipped frames."""
-TRIAL_RESTITUTIONS = (0.5, 0.15, 0.85)
-"""Restitutions of the impacts that are tried."""
-TRIAL_SHARES = (0.2, 0.8)
-"""Shares of a frame interval that are left after the impacts that are tried."""
-TOUCH_SHARE = 0.12
-"""Height, as a share of an edge, below which a corner may touch the table between two frames."""
-SINK_FACTOR = 1.5
-"""Factor on a corner's descent over a frame interval, for the error of its velocity."""
 TRIAL_TURN_RAD = np.radians(6.0)
 """Angle [rad] of the rotations about the last pose that are tried."""
 
@@ -142,6 +143,9 @@ class FrameTracker:
         self.next_frame = 0
         self.backwards = False
         self._longest_step, self._skip_from, self._surprises = 1, 0, 0
+        self._rates_after_impact = np.zeros((0, 6))
+        """(n, 6) velocity and spin after each impact that may lie before the last pose, as long as that is the only one of its
+        flight: their poses agree, and the next picture tells them apart."""
         self._work: Workspace = new_workspace(view.shape, view.rig)
 
     @staticmethod
@@ -262,7 +266,7 @@ class FrameTracker:
         self, frames: Frames, rows: NDArray[np.int64], times_s: Array, poses: ClipPoses, surprise_chi2: float = np.inf
     ) -> int:
         """Track as many frames, some rows of the clip, as the motion explains; returns how many."""
-        if self.misses > 0:
+        if self.misses > 0 or len(self._rates_after_impact):
             return 0
         n = len(rows)
         found = PoseRows(
@@ -303,12 +307,26 @@ class FrameTracker:
     def _best_hypothesis(self, image: NDArray[np.float32], expected: State, P: Array) -> tuple[Pose, State] | None:
         """The pose that explains the picture best, and the initial state that led to it."""
         best: tuple[Pose, State] | None = None
+        enough, tried = self.usual_cost + SMALL_EXCESS_COST, []
         for pose, start in self._trials(image, expected, P):
+            tried.append((pose, start))
             if best is None or pose.cost < best[0].cost - LEAST_IMPROVEMENT:
                 best = pose, start
-            if best[0].cost < self.usual_cost + SMALL_EXCESS_COST:
-                break
-        return best
+            if best[0].cost < enough:
+                return best
+        if best is None or not self.view.shows_surface(expected.position_m):
+            return best
+        # None of them has come to the end, or the light on other faces was another.
+        tried.sort(key=lambda trial: (not self._is_acceptable(trial[0]), trial[0].cost))
+        again = [(self._refined_anew(image, *trial), trial[1]) for trial in tried[:REFINED_ANEW]]
+        found = [best, *((pose, start) for pose, start in again if pose is not None)]
+        return min(found, key=lambda trial: (not self._is_acceptable(trial[0]), trial[0].cost))
+
+    def _refined_anew(self, image: NDArray[np.float32], pose: Pose, start: State) -> Pose | None:
+        """A pose refined from where a refinement ended, as if nothing were known of the light."""
+        initial = pose_state(pose.position_m, pose.rotation, start.velocity_m_s, start.omega_rad_s)
+        found = refine_pose(self.view, image, initial, coarse=0, roughly=True)
+        return None if found.covariance is None or found.contour_px < LEAST_CONTOUR_PX else found
 
     def _trials(self, image: NDArray[np.float32], expected: State, P: Array) -> Iterator[tuple[Pose, State]]:
         """Refined poses with the states that led to them: where the motion leads, then the hypotheses."""
@@ -331,8 +349,27 @@ class FrameTracker:
         yield from islice(self._apart(states), MOST_DIRECT)
         refined = [(self._refined(image, state, coarse, None, edges_alone=True), state) for state, coarse in states]
         known = [(pose, state) for pose, state in refined if pose is not None]
-        for pose, state in sorted(known, key=lambda trial: trial[0].cost):
+        costs = self._costs_of_edges(image, [pose for pose, _ in known])
+        for k in np.argsort(costs, kind="stable"):
+            pose, state = known[k]
             yield replace(state, position_m=pose.position_m, quaternion=quat_from_matrix(pose.rotation)), 0
+
+    def _costs_of_edges(self, image: NDArray[np.float32], poses: list[Pose]) -> Array:
+        """(n,) costs of poses refined on edges, all on one window: on its own a pose beside the die explains its picture well."""
+        if not poses:
+            return np.zeros(0)
+        places, turns = np.array([pose.position_m for pose in poses]), np.array([pose.rotation for pose in poses])
+        camera = self.view.camera
+        px = camera.project(
+            places[None] + self.view.die.solid.circumradius * np.array([*np.eye(3), *-np.eye(3)])[:, None]
+        )
+        low = np.clip(np.nanmin(px, axis=(0, 1)), 0, None).astype(int)
+        high = np.minimum(np.nanmax(px, axis=(0, 1)).astype(int) + 1, (camera.width_px, camera.height_px))
+        if (high - low < 2).any():
+            return np.array([pose.cost for pose in poses])
+        box = int(low[0]), int(low[1]), int(high[0]), int(high[1])
+        costs, _ = region_costs(self.view, image[0] if image.ndim == 3 else image, box, places, turns, WINDOW_SAMPLES)
+        return costs + SUPPORT_COST * (1.0 - np.array([pose.support for pose in poses]))
 
     def _apart(self, states: Iterable[tuple[State, int]]) -> Iterator[tuple[State, int]]:
         """Of states that draw nearly the same die the first."""
@@ -398,11 +435,13 @@ class FrameTracker:
         return lowest - HEIGHT_SIGMAS * widest_sigma(P, 0) > BOUNCE_REACH * self.view.reach_m
 
     def _other_states(self, expected: State) -> Iterator[tuple[State, int]]:
-        """Other initial states, each with the level of coarseness of its refinement: after impacts on the low corners, the last
-        pose, the expected one, and rotations about the last."""
+        """Other initial states, each with the level of coarseness of its refinement: from the last pose with the rates after an
+        impact before it, after impacts on the low corners, the last pose, the expected one, and rotations about the last."""
         time_s = expected.time_s
         last = _state(float(self.clock[0]), self.motion, self.rotation)
-        yield from ((state, 3) for state in _beyond_impacts(self.view.die, last, time_s))
+        for rates in self._rates_after_impact:
+            yield Flight(replace(last, velocity_m_s=rates[:3], omega_rad_s=rates[3:]), np.inf).at(time_s), 3
+        yield from ((state, 3) for state in beyond_impacts(self.view.die, last, time_s))
         yield State(time_s, last.position_m, last.quaternion, last.velocity_m_s, last.omega_rad_s), 4
         yield expected, 4
         half = Flight(last, np.inf).at(0.5 * (last.time_s + time_s)).position_m
@@ -427,7 +466,7 @@ class FrameTracker:
         self.P = _initial_covariance(self.view, pose, frame_s, UNKNOWN_REACH, UNKNOWN_RAD)
         exposed_s = float(time_s + self.view.exposure_delay_s(pose.position_m))
         self.clock = np.array([exposed_s, pose.cost, 1.0])
-        self.misses = 0
+        self.misses, self._rates_after_impact = 0, np.zeros((0, 6))
         return pose
 
     def _update(
@@ -443,14 +482,18 @@ class FrameTracker:
         count = float(self.clock[2])
         high = self._is_high(_state(time_s, predicted, R), P)
         far_reach, far_rad = (FIRST_POSES_REACH, FIRST_POSES_RAD) if high else (NEW_FLIGHT_REACH, NEW_FLIGHT_RAD)
-        if count >= MIN_POSES_OF_FLIGHT and (distance > far_reach * self.view.reach_m or angle > far_rad):
+        leads_on = np.array_equal(start.velocity_m_s, predicted[3:6])
+        known = MIN_POSES_OF_FLIGHT if leads_on else MIN_POSES_BEFORE_IMPACT
+        if count >= known and (distance > far_reach * self.view.reach_m or angle > far_rad):
+            last = _state(float(self.clock[0]), self.motion, self.rotation)
+            self._rates_after_impact = different_rates(beyond_impacts(self.view.die, last, time_s), frame_s)
             has_rates = np.any(start.velocity_m_s != 0.0)
             reach, rad = (BOUNCED_REACH, BOUNCED_RAD) if has_rates else (UNKNOWN_REACH, UNKNOWN_RAD)
             self.motion = np.concatenate([pose.position_m, start.velocity_m_s, start.omega_rad_s])
             self.rotation, self.P = pose.rotation.copy(), _initial_covariance(self.view, pose, frame_s, reach, rad)
             count = 0.0
         else:
-            motion = predicted
+            motion, self._rates_after_impact = predicted, np.zeros((0, 6))
             self.rotation = update_motion(motion, R, P, pose.position_m, pose.rotation, pose.H, self.view.settings)
             self.motion, self.P = motion, P
         usual = self.usual_cost
@@ -485,30 +528,3 @@ def _initial_covariance(view: View, pose: Pose, frame_s: float, reach: float, ra
     P[6:9, 6:9] = np.eye(3) * (reach * view.reach_m / frame_s) ** 2
     P[9:, 9:] = np.eye(3) * (rad / frame_s) ** 2
     return P
-
-
-def _beyond_impacts(die: Die, last: State, time_s: float) -> Iterator[State]:
-    """States of the die on the other side of an impact between the last frame and this one, which lies after it or, of a tracker
-    that runs backwards, before it: smooth impacts with several restitutions on each corner that could reach the table."""
-    dt = time_s - last.time_s
-    corners = last.rotation @ die.solid.vertices.T
-    heights = corners[2] + last.position_m[2]
-    sink = np.minimum((last.velocity_m_s[2] + np.cross(last.omega_rad_s, corners.T)[:, 2]) * dt, 0.0)
-    edge = die.solid.edge_m
-    for i in np.flatnonzero(heights + SINK_FACTOR * sink < TOUCH_SHARE * edge):
-        arm = corners[:, i]
-        normal = last.velocity_m_s[2] + np.cross(last.omega_rad_s, arm)[2]
-        if normal * dt >= 0:
-            continue
-        lever = np.cross(arm, [0.0, 0.0, 1.0])
-        for chi in TRIAL_RESTITUTIONS:
-            # After an impact the corner has chi times the normal velocity of before, and opposite.
-            ratio = chi if dt > 0.0 else 1.0 / chi
-            impulse = -(1.0 + ratio) * normal / (1.0 / die.mass_kg + lever @ lever / die.inertia_kg_m2)
-            velocity = last.velocity_m_s + np.array([0.0, 0.0, impulse / die.mass_kg])
-            omega = last.omega_rad_s + impulse * lever / die.inertia_kg_m2
-            for share in TRIAL_SHARES:
-                touch = Flight(last, np.inf).at(last.time_s + (1.0 - share) * dt)
-                yield Flight(State(touch.time_s, touch.position_m, touch.quaternion, velocity, omega), np.inf).at(
-                    time_s
-                )

@@ -61,6 +61,7 @@ from .acceptance import (
     NEW_FLIGHT_RAD,
     NEW_FLIGHT_REACH,
     ON_PATH_CHI2,
+    ON_PATH_SUPPORT,
     PRIOR_SIGMAS,
     USUAL_COST_FRAMES,
 )
@@ -300,18 +301,20 @@ def track_frames(
         gone = seen_distance_m(rig, p, p - ahead[:3], reach)
         usual = clock[1] if clock[2] > 0.0 else cost
         contour_px, clear_px = statistics[CONTOUR_PX], statistics[CLEAR_PX]
-        confirmed = contour_px >= LEAST_CONTOUR_PX and clear_px > MIN_SUPPORT * contour_px and equations.H[0, 0] > 0.0
+        seen = contour_px >= LEAST_CONTOUR_PX and clear_px > ON_PATH_SUPPORT * contour_px and equations.H[0, 0] > 0.0
+        confirmed = seen and clear_px > MIN_SUPPORT * contour_px
         # On the predicted path a higher cost only means that the light has changed. A direction that the pixels leave
         # open, as the distance of a face seen alone, may be far off there; and high above the table no impact has occurred.
         allowed = ACCEPTED_EXCESS_COST
         high = lowest_m(shape, ahead, R_ahead) - HEIGHT_SIGMAS * sigma_m > BOUNCE_REACH * reach
         if not new and high:
             far_m, far_rad = FIRST_POSES_REACH * reach, FIRST_POSES_RAD
-        if not new and confirmed and turned < far_rad:
+        if not new and seen and turned < far_rad:
             off = innovation_squared(ahead, R_ahead, P_ahead, p, Q, equations.H, settings)
             if off > path_chi2:
                 return k
             if off < ON_PATH_CHI2:
+                confirmed = True
                 allowed = ANY_COST if clear_px > WELL_SEEN * contour_px else MAX_EXCESS_COST
                 far_m = FIRST_POSES_REACH * reach
         if not (confirmed and turned < far_rad and gone < far_m and cost < usual + allowed):

@@ -32,7 +32,7 @@ from ..picture import (
     shares_in_view,
 )
 from ..pose import LEAST_CONTOUR_PX, ClipPoses, covariances, refine_frames, seen_distance_m, weak_priors
-from .acceptance import KNOWN_RAD, MIN_SUPPORT, MIN_SUPPORT_CUT
+from .acceptance import KNOWN_RAD, MIN_SUPPORT, MIN_SUPPORT_CUT, ON_PATH_SUPPORT
 from .labelling import with_labels_of_flights
 from .motion_filter import DELAY_ITERATIONS, ENOUGH_EXCESS_COST
 
@@ -89,7 +89,7 @@ class EdgeRefinement:
             reference = _poses_on_flights(view, self.throw, self.source.times_s)
             from_both = rows & self._differ_from(reference)
             attempts = [
-                _Attempt(view, settings, some, use, self.offsets, from_both, enough)
+                _Attempt(view, settings, some, use, self.offsets, from_both, enough, some is reference)
                 for some, use in ((reference, rows), (tracked, from_both))
             ]
 
@@ -173,14 +173,16 @@ class _Attempt:
         offsets: ClockOffsets,
         compared: Mask,
         enough: float,
+        on_flights: bool = False,
     ) -> None:
-        """Rows in `use` are refined from `start`. The cost of the whole picture is computed in blocks with a `compared` frame:
-        one that has another initial pose as well. Costs up to `enough` are usual on this clip."""
+        """Rows in `use` are refined from `start`, the poses of known flights if it is `on_flights`. The cost of the whole picture
+        is computed in blocks with a `compared` frame: one that has another initial pose as well. Costs up to `enough` are usual
+        on this clip."""
         in_view = shares_in_view(view, start.position_m, start.rotation) >= MIN_IN_VIEW
         self.rows: NDArray[np.int64] = np.flatnonzero(use & in_view)
         n = len(self.rows)
         self._view, self._settings, self._start, self._offsets = view, settings, start, offsets
-        self._compared, self._enough = compared, enough
+        self._compared, self._enough, self._on_flights = compared, enough, on_flights
         self._found = PoseRows(
             start.position_m[self.rows], start.rotation[self.rows], start.motion[self.rows],
             np.zeros((n, PARAMETERS, PARAMETERS)), np.zeros((n, STATISTICS)), np.full(n, np.inf),
@@ -243,7 +245,9 @@ class _Attempt:
         whole = shares_in_view(self._view, self.position_m, self.rotation) == 1.0
         sigma_rad = np.sqrt(np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2))
         is_near = (distance < MAX_SHIFT_REACH * self._view.reach_m) & (angle < MAX_TURN_RAD)
-        has_support = support >= np.where(whole, MIN_SUPPORT, MIN_SUPPORT_CUT)
+        on_path = (distance < SECOND_START_REACH * self._view.reach_m) & (angle < SECOND_START_RAD)
+        least = np.where(self._on_flights & on_path, ON_PATH_SUPPORT, MIN_SUPPORT)
+        has_support = support >= np.where(whole, least, MIN_SUPPORT_CUT)
         is_visible = (contour_px >= LEAST_CONTOUR_PX) & has_support
         return np.asarray(is_near & is_visible & (sigma_rad < KNOWN_RAD))
 

@@ -1,0 +1,104 @@
+"""States of a die on the other side of an impact, to be compared with a picture that its flight does not explain.
+
+The motion before an impact, or of a tracker that runs backwards the one after it, says which corners may have touched the table
+and when, but not the restitution. Smooth impacts with several are tried, close enough to each other for a refinement to find the
+die from one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.die import Die
+from ...model.throw import Flight, State
+
+Array = NDArray[np.float64]
+
+TRIAL_RESTITUTIONS = (0.15, 0.5, 0.9)
+"""Least, likeliest and largest restitution of the impacts that are tried."""
+LEAST_TRIALS = 3
+"""Least number of restitutions between these."""
+TRIAL_SPACING_RAD = 0.15
+"""Largest difference between the turns over a frame interval that neighbouring trials lead to: refinements correct half of it.
+Backwards, and at low frame rates, that takes more trials: what the die did before hangs on the reciprocal of the restitution."""
+TRIAL_SHARES = 2
+"""Least number of shares of a frame interval that are left after the impacts that are tried."""
+TOUCH_SHARE = 0.12
+"""Height, as a share of an edge, below which a corner may touch the table between two frames."""
+NEAR_TABLE_SHARE = 0.35
+"""Distance of a corner from the table, in edges, at which it may touch it, at low frame rates: the die is known that well."""
+SINK_FACTOR = 1.5
+"""Factor on a corner's descent over a frame interval, for the error of its velocity."""
+
+
+def beyond_impacts(die: Die, last: State, time_s: float) -> Iterator[State]:
+    """States of the die on the other side of an impact between the last frame and this one, which lies after it or, of a tracker
+    that runs backwards, before it, likely ones first: smooth impacts with several restitutions, at several instants, on each
+    corner that touches the table there."""
+    dt, found = time_s - last.time_s, []
+    _, likeliest, _ = _trial_range(dt > 0.0)
+    corners = last.rotation @ die.solid.vertices.T
+    heights = corners[2] + last.position_m[2]
+    sink = np.minimum((last.velocity_m_s[2] + np.cross(last.omega_rad_s, corners.T)[:, 2]) * dt, 0.0)
+    for i in np.flatnonzero(heights + SINK_FACTOR * sink < TOUCH_SHARE * die.solid.edge_m):
+        _, turn_rad = _stopping_impulse(die, last, i, dt)
+        shares = max(TRIAL_SHARES, int(np.ceil((1.0 + likeliest) * turn_rad / (2.0 * TRIAL_SPACING_RAD))))
+        for share in (np.arange(shares) + 0.5) / shares:
+            touch = Flight(last, np.inf).at(last.time_s + (1.0 - share) * dt)
+            if shares == TRIAL_SHARES or _touches(die, touch, i):
+                found += _beyond_impact(die, touch, i, dt, share)
+    for _, state in sorted(found, key=lambda trial: abs(np.log(trial[0] / likeliest))):
+        yield state
+
+
+def _beyond_impact(die: Die, touch: State, corner: int, dt: float, share: float) -> Iterator[tuple[float, State]]:
+    """States at the end of a share of the interval that begins with an impact of one corner, with the ratio of its normal
+    velocities."""
+    impulse, turn_rad = _stopping_impulse(die, touch, corner, dt)
+    if impulse * dt <= 0.0:
+        return
+    lever = np.cross(touch.rotation @ die.solid.vertices[corner], [0.0, 0.0, 1.0])
+    least, _, largest = _trial_range(dt > 0.0)
+    number = max(LEAST_TRIALS, int(np.ceil((largest - least) * turn_rad / TRIAL_SPACING_RAD)))
+    for ratio in np.linspace(least, largest, number):
+        velocity = touch.velocity_m_s + np.array([0.0, 0.0, (1.0 + ratio) * impulse / die.mass_kg])
+        omega = touch.omega_rad_s + (1.0 + ratio) * impulse * lever / die.inertia_kg_m2
+        after = replace(touch, velocity_m_s=velocity, omega_rad_s=omega)
+        yield float(ratio), Flight(after, np.inf).at(touch.time_s + share * dt)
+
+
+def _stopping_impulse(die: Die, state: State, corner: int, dt: float) -> tuple[float, float]:
+    """The upward impulse [N s] that takes the normal velocity of a corner on the table, and the angle [rad] by which it turns the
+    die over a frame interval."""
+    arm = state.rotation @ die.solid.vertices[corner]
+    lever = np.cross(arm, [0.0, 0.0, 1.0])
+    normal = float(state.velocity_m_s[2] + np.cross(state.omega_rad_s, arm)[2])
+    impulse = -normal / (1.0 / die.mass_kg + float(lever @ lever) / die.inertia_kg_m2)
+    return impulse, abs(impulse * dt) * float(np.linalg.norm(lever)) / die.inertia_kg_m2
+
+
+def _touches(die: Die, state: State, corner: int) -> bool:
+    """Whether a corner may touch the table: about as low as the table, and as the lowest."""
+    heights = (state.rotation @ die.solid.vertices.T)[2] + state.position_m[2]
+    edge = die.solid.edge_m
+    return bool(abs(heights[corner]) < NEAR_TABLE_SHARE * edge and heights[corner] < heights.min() + TOUCH_SHARE * edge)
+
+
+def _trial_range(forwards: bool) -> Array:
+    """Least, likeliest and largest ratio of a corner's normal velocity on the other side of an impact to that on this side,
+    opposite: of restitutions, or backwards of their reciprocals."""
+    restitutions = np.array(TRIAL_RESTITUTIONS)
+    return restitutions if forwards else 1.0 / restitutions[::-1]
+
+
+def different_rates(states: Iterable[State], dt: float) -> Array:
+    """(n, 6) the velocities and spins of some states that turn the die differently over a time."""
+    kept: list[Array] = []
+    for state in states:
+        rates = np.concatenate([state.velocity_m_s, state.omega_rad_s])
+        if all(np.linalg.norm(rates[3:] - other[3:]) * abs(dt) > 0.5 * TRIAL_SPACING_RAD for other in kept):
+            kept.append(rates)
+    return np.array(kept) if kept else np.zeros((0, 6))
