@@ -165,7 +165,11 @@ class _Sequence:
         bias = last.bias_jacobian[0, 2] @ self.search.priors.shared_sigma
         slope = pose_jacobian(chain.flights[-1], last.time_s)[0, 2]
         height_sigma_m = float(np.hypot(bias, np.sqrt(max(slope @ chain.flights[-1].covariance @ slope, 0.0))))
-        return _Sequence(self.search, starts, links, max(len(starts) - 2, 0), end, height_sigma_m)
+        settled = max(len(starts) - 2, 0)
+        # A contact may have moved behind all frames: the flights before it are then fitted on.
+        while settled and self._row_of(links[settled - 1]) >= end:
+            settled -= 1
+        return _Sequence(self.search, starts, links, settled, end, height_sigma_m)
 
     def extended(self) -> _Sequence:
         """The last flight over the frames that lie on it, fitted again as it grows."""

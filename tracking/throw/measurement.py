@@ -177,8 +177,7 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
         else weighted_poses(replace(track, pixel_covariance=None), use, UNMODELLED_SHARE)
     )
     flying = first_supported_row(stated, die)
-    if flying < MIN_FRAMES:
-        raise NoFlightError(f"{flying} frames show the die in flight: wanted at least three in a row")
+    _require_flight(flying)
     priors = Priors(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M)
     chain, impacts, flying = _flights_and_impacts(track, observations, use, flying, die, priors)
     flights = chain.flights
@@ -216,6 +215,12 @@ def _usable_rows(track: Track, die: Die, every: int) -> NDArray[np.int64]:
     return use
 
 
+def _require_flight(frames: int) -> None:
+    """Raises NoFlightError for fewer than MIN_FRAMES in flight."""
+    if frames < MIN_FRAMES:
+        raise NoFlightError(f"{frames} frames show the die in flight: wanted at least three in a row")
+
+
 def _frames(count: int) -> str:
     return "1 frame is" if count == 1 else f"{count} frames are"
 
@@ -242,6 +247,7 @@ def _flights_and_impacts(
         if certain == len(impacts):
             return chain, impacts, flying
         flying = int(np.searchsorted(observations.time_s, impacts[certain].time_s))
+        _require_flight(flying)
 
 
 def _resolved_chain(

@@ -259,6 +259,13 @@ def test_a_first_radius_with_which_no_initial_pose_is_found_is_discarded(monkeyp
     assert np.array_equal(tested.track.position_m, given.track.position_m, equal_nan=True)
 
 
+def test_flights_exclude_corners_that_a_codec_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures alone may take smeared edges for bevels; a die so rounded would fall at another distance."""
+    monkeypatch.setattr(tracking_pass, "_radius_from_pictures", lambda *_: CornerRadius(0.5e-3, 0.1e-3))
+    monkeypatch.setattr(tracking_pass, "_radius_trials", lambda *_: pytest.fail("tracked with rounded corners"))
+    assert sharp_tracked(CornerRounding.TESTED).corners is None
+
+
 @pytest.mark.parametrize(
     ("frames", "borne_out", "gain", "better"),
     [

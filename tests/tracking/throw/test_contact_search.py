@@ -15,7 +15,7 @@ from diethrow.model.rotations import quat_from_rotvec, quat_multiply
 from diethrow.model.throw import Flight, State, Throw, Until, throw_die
 from diethrow.tracking.flights import FlightChain, WeightedPoses
 from diethrow.tracking.throw import measure_throw
-from diethrow.tracking.throw.contact_search import ContactSearch, _first_off, follow_contacts, white_errors
+from diethrow.tracking.throw.contact_search import ContactSearch, _first_off, _Sequence, follow_contacts, white_errors
 from diethrow.tracking.throw.contacts import Priors
 from diethrow.tracking.throw.flight_segmentation import segment_flights
 from diethrow.tracking.track import Track
@@ -133,3 +133,20 @@ def test_no_frame_lies_off_a_flight_of_which_nothing_is_known(variance: float) -
     unknown = Flight(wrong, 1.0, np.diag(np.full(12, variance)))
     assert _first_off(search, unknown, 20, 40) == 40
     assert _first_off(search, replace(unknown, covariance=1e-12 * np.eye(12)), 20, 40) == 20
+
+
+def test_flights_before_a_contact_that_moved_behind_all_frames_are_fitted_on() -> None:
+    rng = np.random.default_rng(4)
+    throw = true_throw(CUBE, random_release(CUBE, rng), 0.5, impacts=2)
+    frames = weighted_poses(seen(throw, rng))
+    impacts = [impact_at(CUBE, vertex) for vertex in range(8)]
+    search = ContactSearch(
+        frames, CUBE, impacts, segment_flights(frames, CUBE), white_errors(frames), Priors(np.zeros(0), 3e-5)
+    )
+    chain = followed(CUBE, frames)
+    assert len(chain.links) == 2
+    sequence = _Sequence(search, [], [], 0, 0)
+    for end in (len(frames), int(np.searchsorted(frames.time_s, chain.links[0].time_s)) - 1):
+        some = sequence.with_fit(chain, end)
+        fitted = some.fitted(some.starts, some.links, some.end)
+        assert len(fitted.flights) == len(some.starts) - some.settled
