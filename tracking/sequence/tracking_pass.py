@@ -310,15 +310,19 @@ def _flies_as_sharp(view: View, sharp: ClipPoses, source: FrameSource, radius_m:
 
     The contour of a rounded die lies within that of a sharp one, for which it seems too far away. The fall and the table
     then show that the contour of the sharp die is drawn so far out as the radius says; of a die that is sharp they show no
-    such error, whatever a codec or a sharpening filter does to its edges."""
+    such error, whatever a codec or a sharpening filter does to its edges. Only a throw whose contacts are all resolved says so:
+    the corners of a rounded die touch elsewhere."""
     use = wholly_in_view(view, sharp) & sharp.evenly_spaced
     inset_px = contour_sigma_px(view, radius_m, sharp.position_m[use], sharp.rotation[use])
     track = replace(as_track(view, source, sharp, use), contour_sigma_px=inset_px)
     try:
-        chain = measure(track, view.die, view.camera).chain
+        throw = measure(track, view.die, view.camera)
     except NoFlightError:
         return False
-    found, sigma = float(chain.shared[0]), chain.contour_sigma_px
+    contacts = [impact.contact for impact in throw.throw.impacts]
+    if not contacts or "unresolved" in contacts:
+        return False
+    found, sigma = float(throw.chain.shared[0]), throw.chain.contour_sigma_px
     return abs(found) + EXCLUDED_SIGMAS * sigma < abs(found + inset_px)
 
 
