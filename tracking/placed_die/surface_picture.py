@@ -63,8 +63,8 @@ INWARD_PX = 0.5
 BLUR_REACH = 2.6
 """Half-width of the window of the blur, in blurs."""
 SEPARABLE_PX2 = 1.0
-"""Variance of the blur from which it is drawn along rows and then along columns: that of a coarse step. There the motion of one
-drawn instant has a covariance of at most NODE_PX² / 24."""
+"""Variance of the blur of a coarse step from which it is drawn along rows and then along columns. The motion of one drawn instant
+has a covariance of at most NODE_PX² / 24."""
 WIDEST_BLUR = 12
 """Largest half-width of that window [half pixels]: blur beyond it is cut off."""
 WIDEST_SLOPE_PX = 3
@@ -319,7 +319,7 @@ def _face_with_room(lines: Any, count: Any, x: float, y: float) -> tuple[int, fl
 def _blur(model: PictureModel, blur_px: float, exposed: Any, grid: SurfaceGrid) -> None:
     """Blur w and w B onto the pixels in use."""
     variances = _variances(max(blur_px**2, LEAST_VARIANCE_PX2), exposed)
-    if min(variances[0], variances[1]) > SEPARABLE_PX2:
+    if blur_px > model.settings.blur_px and min(variances[0], variances[1]) > SEPARABLE_PX2:
         _blur_rows_then_columns(variances, grid)
     else:
         _blur_at_once(variances, model.shape.normals.shape[0], grid)
@@ -372,8 +372,8 @@ def _blur_at_once(variances: Any, faces: int, grid: SurfaceGrid) -> None:
 
 @inner_nogil
 def _blur_rows_then_columns(variances: Any, grid: SurfaceGrid) -> None:
-    """Blur far wider than a pixel, along rows first and then along columns: motion at an angle to both, and where parts lie
-    within their pieces, then matter little."""
+    """Blur of a coarse step, along rows first and then along columns. It leaves out motion at an angle to both, and where parts
+    lie within their pieces: some hundredths of a pixel."""
     rows, columns = grid.part.shape
     half = min(ceil(2.0 * BLUR_REACH * sqrt(max(variances[0], variances[1]))), WIDEST_BLUR)
     along_x, along_y = _line_weights(half, variances[0]), _line_weights(half, variances[1])

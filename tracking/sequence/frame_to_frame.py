@@ -307,7 +307,8 @@ class FrameTracker:
     def _best_hypothesis(self, image: NDArray[np.float32], expected: State, P: Array) -> tuple[Pose, State] | None:
         """The pose that explains the picture best, and the initial state that led to it."""
         best: tuple[Pose, State] | None = None
-        enough, tried = self.usual_cost + SMALL_EXCESS_COST, []
+        tried: list[tuple[Pose, State]] = []
+        enough = self.usual_cost + SMALL_EXCESS_COST
         for pose, start in self._trials(image, expected, P):
             tried.append((pose, start))
             if best is None or pose.cost < best[0].cost - LEAST_IMPROVEMENT:
@@ -360,15 +361,16 @@ class FrameTracker:
             return np.zeros(0)
         places, turns = np.array([pose.position_m for pose in poses]), np.array([pose.rotation for pose in poses])
         camera = self.view.camera
-        px = camera.project(
-            places[None] + self.view.die.solid.circumradius * np.array([*np.eye(3), *-np.eye(3)])[:, None]
-        )
-        low = np.clip(np.nanmin(px, axis=(0, 1)), 0, None).astype(int)
-        high = np.minimum(np.nanmax(px, axis=(0, 1)).astype(int) + 1, (camera.width_px, camera.height_px))
-        if (high - low < 2).any():
+        about_m = self.view.die.solid.circumradius * np.array([*np.eye(3), *-np.eye(3)])
+        px = camera.project(places[:, None] + about_m)
+        px = px[np.isfinite(px).all(2)]
+        if not len(px):
             return np.array([pose.cost for pose in poses])
-        box = int(low[0]), int(low[1]), int(high[0]), int(high[1])
-        costs, _ = region_costs(self.view, image[0] if image.ndim == 3 else image, box, places, turns, WINDOW_SAMPLES)
+        size = camera.width_px, camera.height_px
+        x0, y0 = np.clip(px.min(0), 0, np.array(size) - 2).astype(int).tolist()
+        x1, y1 = np.clip(px.max(0) + 1.0, (x0 + 2, y0 + 2), size).astype(int).tolist()
+        first = image[0] if image.ndim == 3 else image
+        costs, _ = region_costs(self.view, first, (x0, y0, x1, y1), places, turns, WINDOW_SAMPLES)
         return costs + SUPPORT_COST * (1.0 - np.array([pose.support for pose in poses]))
 
     def _apart(self, states: Iterable[tuple[State, int]]) -> Iterator[tuple[State, int]]:

@@ -53,12 +53,14 @@ HOP_DURATIONS = 1.5
 """Durations of a hop that deviates no further, 2 √(2h/g): a longer interval is neither a hop nor the end of one."""
 FIRST_WINDOW = 8
 """Frames of the shortest window that is tested for free fall: good poses show it within 5 ms."""
+HOP_WINDOW = 5
+"""The same where heights that err much seem level: at 250 frames per second a die that hops flies for five frames."""
 MAX_WINDOW_FRAMES = 128
 """Frames that are used of a window, or up to twice as many, evenly spread: more of a film far faster than the die have correlated
 errors, and would count as more information than they are."""
 GAP_WINDOWS = 2
-"""Longest interval between two flights, in windows, that is not taken for support: flights shorter than a window are not
-detected."""
+"""Longest interval between two flights, in windows of FIRST_WINDOW or more frames, that is not taken for support: flights shorter
+than a window are not detected."""
 LONGEST_WINDOW_S = 0.1
 """Duration [s] beyond which a window is no hop of a die that nearly rests."""
 MAX_FLIGHT_CHI2 = 16.0
@@ -126,11 +128,17 @@ def first_supported_row(observations: WeightedPoses, die: Die) -> int:
     if deviation is None:
         return n
     low = _first_of_last_rows(deviation < LOW_SHARE * die.solid.edge_m)
-    first, is_supported = _row_behind_flights(observations, low, die)
+    first, is_supported = _row_behind_flights(observations, low, die, FIRST_WINDOW)
     if not is_supported:
         behind_flights, first = first, _first_level_row(observations, deviation, die)
         if first == n or first < behind_flights:
             return n
+        # Hops that the errors of heights hide, and whose mean is no fall, may yet show that the die flies.
+        behind_flights, is_supported = _row_behind_flights(observations, first, die, HOP_WINDOW)
+        if behind_flights > first:
+            if not is_supported:
+                return n
+            first = behind_flights
     # The last impact may lie a frame behind the first level frame: the frames that show it are left to the flight.
     return min(first + FRAMES_LEFT_TO_FLIGHT, n)
 
@@ -167,25 +175,25 @@ def _first_of_last_rows(holds: NDArray[np.bool_]) -> int:
     return int(off[-1]) + 1 if len(off) else 0
 
 
-def _row_behind_flights(observations: WeightedPoses, first: int, die: Die) -> tuple[int, bool]:
+def _row_behind_flights(observations: WeightedPoses, first: int, die: Die, window: int) -> tuple[int, bool]:
     """The row behind the flights that follow from row `first`, itself if the die does not fly there, 0 if the frames do not
     decide; and whether these, enough of them behind the flights, show that the table supports the die from there on.
 
-    Windows of FIRST_WINDOW frames, then of twice and four times as many, are tested until most of them distinguish flight from
+    Windows of `window` frames, then of twice and four times as many, are tested until most of them distinguish flight from
     support. Shorter intervals between two flights are ignored. An asymmetric body does not keep its spin in flight, and is not
     tested."""
-    window, n = FIRST_WINDOW, len(observations) - first if die.is_spherical_top else 0
+    n = len(observations) - first if die.is_spherical_top else 0
     while window <= n and observations.time_s[first + window - 1] - observations.time_s[first] < LONGEST_WINDOW_S:
         begins, free_chi2, support_chi2 = _accelerations(
             observations.rows(slice(first, len(observations))), window, die
         )
         if np.median(support_chi2) > LEAST_SUPPORT_CHI2:
-            end = 0
+            end, gap = 0, GAP_WINDOWS * max(window, FIRST_WINDOW)
             limit = np.minimum(MAX_FLIGHT_CHI2, NEARER_SHARE * support_chi2)
             for k in begins[(support_chi2 > LEAST_SUPPORT_CHI2) & (free_chi2 < limit)].tolist():
-                if k <= end + GAP_WINDOWS * window:
+                if k <= end + gap:
                     end = k + window
-            is_supported = n - end > GAP_WINDOWS * window
+            is_supported = n - end > gap
             return first + end if is_supported or end > 0 else 0, is_supported
         window *= 2
     return 0, False

@@ -29,8 +29,8 @@ def smooth(
     contain (`MeasuredThrow.throw_without_shared_errors`). `excluded` frames (n,) keep their own poses: no flight passes through
     them (`MeasuredThrow.unexplained`).
 
-    Lost frames between tracked frames of one flight become tracked if the flight determines their pose (KNOWN_POSITION_M,
-    KNOWN_ROTATION_RAD). Frames before the first and after the last tracked frame, and absent frames, stay as they are. Errors of
+    Lost frames between tracked frames of one flight, of which neither is excluded, become tracked if the flight determines
+    their pose (KNOWN_POSITION_M, KNOWN_ROTATION_RAD). Other lost frames, and absent ones, stay as they are. Errors of
     neighbouring frames are correlated afterwards: a fit needs the track of single frames instead.
     """
     tracked = np.flatnonzero(track.tracked)
@@ -54,7 +54,9 @@ def smooth(
         sigma = np.sqrt(np.diagonal(poses, axis1=1, axis2=2))
         unknown = (sigma[:, :3].max(1) > KNOWN_POSITION_M) | (sigma[:, 3:].max(1) > KNOWN_ROTATION_RAD)
         is_tracked = status[own_rows] == TRACKED
-        use = is_tracked | ~unknown if is_tracked.any() else is_tracked
+        use, ends = is_tracked, own_rows[is_tracked][[0, -1]] if is_tracked.any() else own_rows[:0]
+        if len(ends):
+            use = is_tracked | (~unknown & (own_rows > ends[0]) & (own_rows < ends[1]))
         put = own_rows[use]
         position[put], quaternion[put] = flight.poses(track.time_s[put])
         covariance[put], status[put] = 0.5 * (poses + np.swapaxes(poses, 1, 2))[use], TRACKED

@@ -205,6 +205,21 @@ def test_a_moving_die_is_the_mean_of_still_ones() -> None:
     assert np.sqrt(np.mean((grey - expected) ** 2)) < 0.01 * np.ptp(expected)
 
 
+def test_a_coarse_picture_is_blurred_as_a_fine_one() -> None:
+    """Along rows and then along columns, and at once where the lens blurs as much."""
+    made, blur_px = scene(1.6e-3, 5), 1.5
+    sampling = EdgeSampling(blur_px, 6.0, False)
+    coarse, fine = (
+        Drawn(np.zeros((2 * HALF_PX,) * 2), np.zeros((2 * HALF_PX, 2 * HALF_PX, 6)), np.zeros((2 * HALF_PX,) * 2))
+        for _ in range(2)
+    )
+    for view, out in ((made.view, coarse), (replace(made.view, blur_px=blur_px), fine)):
+        draw(view.model(view.settings), made.pose, sampling, made.work, made.box, out)
+    contrast = float(np.ptp(fine.grey))
+    assert 0.0 < np.abs(coarse.grey - fine.grey).max() < 0.01 * contrast
+    assert np.linalg.norm(coarse.jacobian - fine.jacobian) < 0.02 * np.linalg.norm(fine.jacobian)
+
+
 def outline(px: Array) -> Array:
     """(k, 2) corners of the convex hull in order."""
     return np.asarray(cv2.convexHull(px.astype(np.float32))[:, 0], float)

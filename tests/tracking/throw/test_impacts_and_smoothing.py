@@ -228,6 +228,16 @@ def test_frames_lost_within_a_flight_are_filled_and_no_others() -> None:
     assert np.degrees(angle_between(smoothed.quaternion[gap], q[gap])).max() < 0.2
 
 
+def test_no_frame_is_filled_towards_one_that_its_flight_does_not_explain() -> None:
+    _, track, found = bounced()
+    middle = len(track) // 4
+    status, excluded = track.status.copy(), np.zeros(len(track), bool)
+    status[6:middle], excluded[3:6] = LOST, True
+    smoothed = smooth(replace(track, status=status), found, excluded=excluded)
+    assert (smoothed.status[6 : middle + 4] == LOST).all()
+    assert (smooth(replace(track, status=status), found).status[6 : middle + 4] == TRACKED).all()
+
+
 def test_smoothing_reduces_errors_and_standard_errors_of_every_frame() -> None:
     true, track, found = bounced()
     smoothed = smooth(track, found)
