@@ -38,12 +38,13 @@ def beyond_impacts(die: Die, last: State, time_s: float) -> Iterator[State]:
     """States of the die on the other side of an impact between the last frame and this one, which lies after it or, of a tracker
     that runs backwards, before it, likely ones first: smooth impacts with several restitutions, at several instants, on each
     corner that touches the table there."""
-    dt, found = time_s - last.time_s, []
+    dt = time_s - last.time_s
+    found: list[tuple[float, State]] = []
     _, likeliest, _ = _trial_range(dt > 0.0)
     corners = last.rotation @ die.solid.vertices.T
     heights = corners[2] + last.position_m[2]
     sink = np.minimum((last.velocity_m_s[2] + np.cross(last.omega_rad_s, corners.T)[:, 2]) * dt, 0.0)
-    for i in np.flatnonzero(heights + SINK_FACTOR * sink < TOUCH_SHARE * die.solid.edge_m):
+    for i in np.flatnonzero(heights + SINK_FACTOR * sink < TOUCH_SHARE * die.solid.edge_m).tolist():
         _, turn_rad = _stopping_impulse(die, last, i, dt)
         shares = max(TRIAL_SHARES, int(np.ceil((1.0 + likeliest) * turn_rad / (2.0 * TRIAL_SPACING_RAD))))
         for share in (np.arange(shares) + 0.5) / shares:
