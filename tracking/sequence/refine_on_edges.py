@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.rotations import angle_between, matrix_from_quat
+from ...model.rotations import angle_between, matrix_from_quat, quat_from_matrix
 from ...model.throw import Throw
 from ..clip_parameters import ClockOffsets, rig_at
 from ..footage import FrameBlock, Frames, FrameSource, Rows
@@ -32,6 +32,7 @@ from ..picture import (
     shares_in_view,
 )
 from ..pose import LEAST_CONTOUR_PX, ClipPoses, covariances, refine_frames, seen_distance_m, weak_priors
+from ..throw import TABLE_REACH, lowest_heights_m
 from .acceptance import KNOWN_RAD, MIN_SUPPORT, MIN_SUPPORT_CUT, ON_PATH_SUPPORT
 from .labelling import with_labels_of_flights
 from .motion_filter import DELAY_ITERATIONS, ENOUGH_EXCESS_COST
@@ -87,9 +88,14 @@ class EdgeRefinement:
         attempts = [_Attempt(view, settings, tracked, tracked.known & rows, self.offsets, never, enough)]
         if self.throw is not None:
             reference = _poses_on_flights(view, self.throw, self.source.times_s)
+            # Beyond its frames a flight goes on into the table, where some background looks like a die.
+            heights_m = lowest_heights_m(view.die, reference.position_m, quat_from_matrix(reference.rotation))
+            rows = rows & ((heights_m > -TABLE_REACH * view.die.solid.edge_m) | tracked.known)
             from_both = rows & self._differ_from(reference)
             attempts = [
-                _Attempt(view, settings, some, use, self.offsets, from_both, enough, some is reference)
+                _Attempt(
+                    view, settings, some, use, self.offsets, from_both, enough, tracked if some is reference else None
+                )
                 for some, use in ((reference, rows), (tracked, from_both))
             ]
 
@@ -173,16 +179,19 @@ class _Attempt:
         offsets: ClockOffsets,
         compared: Mask,
         enough: float,
-        on_flights: bool = False,
+        tracked: ClipPoses | None = None,
     ) -> None:
-        """Rows in `use` are refined from `start`, the poses of known flights if it is `on_flights`. The cost of the whole picture
-        is computed in blocks with a `compared` frame: one that has another initial pose as well. Costs up to `enough` are usual
-        on this clip."""
+        """Rows in `use` are refined from `start`, the poses of known flights where those `tracked` are given, from which they
+        follow. The cost of the whole picture is computed in blocks with a `compared` frame: one that has another initial pose as
+        well. Costs up to `enough` are usual on this clip."""
         in_view = shares_in_view(view, start.position_m, start.rotation) >= MIN_IN_VIEW
         self.rows: NDArray[np.int64] = np.flatnonzero(use & in_view)
         n = len(self.rows)
         self._view, self._settings, self._start, self._offsets = view, settings, start, offsets
-        self._compared, self._enough, self._on_flights = compared, enough, on_flights
+        self._compared, self._enough = compared, enough
+        # Beyond the frames that were tracked a flight may have ended.
+        known = np.flatnonzero(tracked.known) if tracked is not None else self.rows[:0]
+        self._between = (self.rows > known[0]) & (self.rows < known[-1]) if len(known) else np.zeros(n, bool)
         self._found = PoseRows(
             start.position_m[self.rows], start.rotation[self.rows], start.motion[self.rows],
             np.zeros((n, PARAMETERS, PARAMETERS)), np.zeros((n, STATISTICS)), np.full(n, np.inf),
@@ -246,7 +255,7 @@ class _Attempt:
         sigma_rad = np.sqrt(np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2))
         is_near = (distance < MAX_SHIFT_REACH * self._view.reach_m) & (angle < MAX_TURN_RAD)
         on_path = (distance < SECOND_START_REACH * self._view.reach_m) & (angle < SECOND_START_RAD)
-        least = np.where(self._on_flights & on_path, ON_PATH_SUPPORT, MIN_SUPPORT)
+        least = np.where(self._between & on_path, ON_PATH_SUPPORT, MIN_SUPPORT)
         has_support = support >= np.where(whole, least, MIN_SUPPORT_CUT)
         is_visible = (contour_px >= LEAST_CONTOUR_PX) & has_support
         return np.asarray(is_near & is_visible & (sigma_rad < KNOWN_RAD))

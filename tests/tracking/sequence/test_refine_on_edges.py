@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from footage_of_throws import DICE, film, studio
+from footage_of_throws import DICE, FPS, film, studio
 from numpy.typing import NDArray
 
-from diethrow.model.rotations import quat_from_matrix, rotation_between
-from diethrow.model.throw.motion import Flight, State
+from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, rotation_between
+from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.tracking.clip_parameters.clock_offsets import ClockOffsets
 from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.pose.clip_poses import ClipPoses
@@ -59,3 +59,28 @@ def test_a_tetrahedron_with_a_face_edge_on_is_not_lost(slope: float) -> None:
         assert errors @ np.linalg.solve(found[k], errors) < 22.5  # once in a thousand
         # Two lines of its contour, and that is all: some turn is open, at the least as far as the prior of 0.1 rad leaves it.
         assert np.sqrt(np.linalg.eigvalsh(found[k][3:, 3:])[-1]) > 0.09
+
+
+def test_a_flight_is_not_followed_into_the_table() -> None:
+    """The camera shows a die there all the same."""
+    room, die = replace(studio(), noise_grey=1.0), DICE["cube"]
+    turned = quat_from_rotvec(np.array([0.2, 0.3, 0.1]))
+    rise = np.array([0.0, 0.0, 0.2 * die.solid.edge_m * FPS])
+    flight = Flight(State(0.0, np.zeros(3), turned, rise, np.zeros(3)), np.inf)
+    clip, view, tracked = film(room, die, flight, FRAMES), room.view(die), ClipPoses.empty(FRAMES)
+    for k, time_s in enumerate(clip.times_s):
+        state = flight.at(float(time_s))
+        tracked.position_m[k], tracked.rotation[k], tracked.motion[k, :3] = (
+            state.position_m,
+            state.rotation,
+            state.velocity_m_s,
+        )
+    every = np.ones(FRAMES, bool)
+    for first in (0, 3):
+        tracked.known[:] = np.arange(FRAMES) >= first
+        refinement = EdgeRefinement(
+            view, FrameSource([clip]), tracked, Throw((flight,), ()), every, ClockOffsets.none(1)
+        )
+        refined = refinement.refine(every, lambda _: None)
+        assert refined.known[2:].all()
+        assert refined.known[0] == (first == 0)
