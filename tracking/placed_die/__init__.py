@@ -2,8 +2,8 @@
 pixel shows, and how bright that is under one light.
 
 `projection` places the die and gives windows. `rounded_surface` gives the parts of a rounded die's surface and its contour,
-`surface_light` their brightness, and `surface_picture` draws all that; `rounded_edge` is the picture of one edge.
-`kernel_types` holds the records that kernels of pictures pass to each other, `small_matrices` their linear algebra.
+`surface_light` their brightness, and `surface_picture` draws all that on a `surface_grid`; `rounded_edge` is the picture of one
+edge. `kernel_types` holds the records that kernels of pictures pass to each other, `small_matrices` their linear algebra.
 `tracking.picture` compares all that with the pixels of a frame.
 """
 
@@ -76,6 +76,10 @@ from .small_matrices import solve_factored as solve_factored
 from .small_matrices import solve_positive as solve_positive
 from .small_matrices import turn as turn
 from .small_matrices import turn_from as turn_from
+from .surface_grid import SurfaceGrid as SurfaceGrid
+from .surface_grid import blur_of_pixels as blur_of_pixels
+from .surface_grid import fill_blurred_row as fill_blurred_row
+from .surface_grid import new_surface_grid as new_surface_grid
 from .surface_light import FACE_EDGES as FACE_EDGES
 from .surface_light import LAMP_PRIOR as LAMP_PRIOR
 from .surface_light import NO_LIGHT as NO_LIGHT
@@ -95,9 +99,5 @@ from .surface_light import normal_monomials as normal_monomials
 from .surface_light import strips_of_any_shade as strips_of_any_shade
 from .surface_light import unknown_light as unknown_light
 from .surface_light import update_light as update_light
-from .surface_picture import SurfaceGrid as SurfaceGrid
-from .surface_picture import blur_of_pixels as blur_of_pixels
 from .surface_picture import draw_surface as draw_surface
-from .surface_picture import fill_blurred_row as fill_blurred_row
 from .surface_picture import fill_changes as fill_changes
-from .surface_picture import new_surface_grid as new_surface_grid

@@ -83,9 +83,8 @@ class EdgeRefinement:
         view, tracked, count = self.view, self.tracked, len(self.source)
         rows = rows & self.usable
         settings = view.settings._replace(min_step_px=self.min_step_px, contour_stretch_px=SHADED_STRETCH_PX)
-        reference, enough = tracked, _enough_cost(tracked)
-        never = np.zeros(count, bool)
-        attempts = [_Attempt(view, settings, tracked, tracked.known & rows, self.offsets, never, enough)]
+        reference, never = tracked, np.zeros(count, bool)
+        attempts = [_Attempt(view, settings, tracked, tracked.known & rows, self.offsets, never, tracked)]
         if self.throw is not None:
             reference = _poses_on_flights(view, self.throw, self.source.times_s)
             # Beyond its frames a flight goes on into the table, where some background looks like a die.
@@ -93,9 +92,7 @@ class EdgeRefinement:
             rows = rows & ((heights_m > -TABLE_REACH * view.die.solid.edge_m) | tracked.known)
             from_both = rows & self._differ_from(reference)
             attempts = [
-                _Attempt(
-                    view, settings, some, use, self.offsets, from_both, enough, tracked if some is reference else None
-                )
+                _Attempt(view, settings, some, use, self.offsets, from_both, tracked)
                 for some, use in ((reference, rows), (tracked, from_both))
             ]
 
@@ -178,20 +175,19 @@ class _Attempt:
         use: Mask,
         offsets: ClockOffsets,
         compared: Mask,
-        enough: float,
-        tracked: ClipPoses | None = None,
+        tracked: ClipPoses,
     ) -> None:
-        """Rows in `use` are refined from `start`, the poses of known flights where those `tracked` are given, from which they
-        follow. The cost of the whole picture is computed in blocks with a `compared` frame: one that has another initial pose as
-        well. Costs up to `enough` are usual on this clip."""
+        """Rows in `use` are refined from `start`: the `tracked` poses, or those of the flights that these show. The cost of the
+        whole picture is computed in blocks with a `compared` frame: one that has another initial pose as well."""
         in_view = shares_in_view(view, start.position_m, start.rotation) >= MIN_IN_VIEW
         self.rows: NDArray[np.int64] = np.flatnonzero(use & in_view)
         n = len(self.rows)
         self._view, self._settings, self._start, self._offsets = view, settings, start, offsets
-        self._compared, self._enough = compared, enough
+        self._compared, self._enough = compared, _enough_cost(tracked)
         # Beyond the frames that were tracked a flight may have ended.
-        known = np.flatnonzero(tracked.known) if tracked is not None else self.rows[:0]
-        self._between = (self.rows > known[0]) & (self.rows < known[-1]) if len(known) else np.zeros(n, bool)
+        known = np.flatnonzero(tracked.known)
+        is_between = (self.rows > known[0]) & (self.rows < known[-1]) if len(known) else np.zeros(n, bool)
+        self._on_flights = is_between & (start is not tracked)
         self._found = PoseRows(
             start.position_m[self.rows], start.rotation[self.rows], start.motion[self.rows],
             np.zeros((n, PARAMETERS, PARAMETERS)), np.zeros((n, STATISTICS)), np.full(n, np.inf),
@@ -255,7 +251,7 @@ class _Attempt:
         sigma_rad = np.sqrt(np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2))
         is_near = (distance < MAX_SHIFT_REACH * self._view.reach_m) & (angle < MAX_TURN_RAD)
         on_path = (distance < SECOND_START_REACH * self._view.reach_m) & (angle < SECOND_START_RAD)
-        least = np.where(self._between & on_path, ON_PATH_SUPPORT, MIN_SUPPORT)
+        least = np.where(self._on_flights & on_path, ON_PATH_SUPPORT, MIN_SUPPORT)
         has_support = support >= np.where(whole, least, MIN_SUPPORT_CUT)
         is_visible = (contour_px >= LEAST_CONTOUR_PX) & has_support
         return np.asarray(is_near & is_visible & (sigma_rad < KNOWN_RAD))

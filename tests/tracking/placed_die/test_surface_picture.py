@@ -32,13 +32,8 @@ from diethrow.tracking.placed_die import (
     place_die,
     update_light,
 )
-from diethrow.tracking.placed_die.surface_picture import (
-    blur_of_pixels,
-    draw_surface,
-    fill_blurred_row,
-    fill_changes,
-    new_surface_grid,
-)
+from diethrow.tracking.placed_die.surface_grid import blur_of_pixels, fill_blurred_row, new_surface_grid
+from diethrow.tracking.placed_die.surface_picture import draw_surface, fill_changes
 from diethrow.tracking.pose import pose_state
 
 Array = NDArray[np.float64]
