@@ -57,6 +57,11 @@ class Camera:
         K = self.matrix
         return np.stack([K[0, 0] * xd + K[0, 1] * yd + K[0, 2], K[1, 1] * yd + K[1, 2]], axis=-1)
 
+    def contains(self, pixels_px: Array) -> NDArray[np.bool_]:
+        """(...,) whether pixels (..., 2) lie within the picture; NaN does not."""
+        last = np.array([self.width_px - 1, self.height_px - 1])
+        return np.asarray(((pixels_px >= 0) & (pixels_px <= last)).all(-1))
+
     def rays(self, pixels_px: ArrayLike) -> Array:
         """Undistorted rays x/z, y/z (..., 2) of pixels (..., 2), to RAY_TOLERANCE; the inverse of the distortion in
         `project`."""

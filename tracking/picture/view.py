@@ -348,7 +348,5 @@ def shares_in_view(view: View, positions_m: Array, rotations: Array) -> Array:
     points = np.einsum("nij,vj->nvi", rotations, view.die.solid.vertices) + positions_m[:, None]
     shares = []
     for camera in view.cameras:
-        px = camera.project(points)
-        inside = (px >= 0).all(2) & (px[..., 0] <= camera.width_px - 1) & (px[..., 1] <= camera.height_px - 1)
-        shares.append(inside.mean(1))
+        shares.append(camera.contains(camera.project(points)).mean(1))
     return np.asarray(np.max(shares, axis=0))

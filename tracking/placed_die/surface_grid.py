@@ -16,13 +16,13 @@ from .rounded_surface import NOTHING, motion_px, rays_about_centre
 
 BLUR_REACH = 2.6
 """Half-width of the window of the blur, in blurs."""
-SEPARABLE_PX2 = 1.0
-"""Variance of the blur of a coarse step from which it is drawn along rows and then along columns. The motion of one drawn instant
-has a covariance of at most NODE_PX² / 24."""
 WIDEST_BLUR = 12
 """Largest half-width of that window [half pixels]: blur beyond it is cut off."""
 WIDEST_SLOPE_PX = 3
-"""The same of the window in which derivatives by rotation and light are blurred [px]: they lead the steps, and need no more."""
+"""The same of the window in which derivatives by rotation and light are blurred [px]."""
+SEPARABLE_PX2 = 1.0
+"""Variance of the blur of a coarse step from which it is drawn along rows and then along columns. What moves within
+one drawn instant (`surface_picture.NODE_PX`) has a covariance of at most a twenty-fourth of its square."""
 LEAST_VARIANCE_PX2 = 0.04
 """Least variance of the blur: a grid of half pixels shows no less."""
 PIXEL_VARIANCE_PX2 = 1.0 / 12.0
@@ -74,6 +74,34 @@ def new_surface_grid(box: Any) -> SurfaceGrid:
         np.zeros((rows, columns, 2, 6)), np.zeros((rows, columns, 3 + LIGHT_TERMS)), np.zeros((rows, columns, 4)),
         np.zeros((2 * rows, 2 * columns)), np.zeros((2 * rows, 2 * columns)), np.zeros((2 * rows, 2 * columns, 2)),
     )  # fmt: skip
+
+
+# --- windows
+
+
+@inner_no_memory
+def _variances(lens: float, exposed: Any) -> tuple[float, float, float]:
+    """Of the blur by lens and motion [px²]: along rows, along columns, and the covariance of both. `exposed` is the motion within
+    the exposure (x, y) [px]."""
+    x, y = exposed[0], exposed[1]
+    return lens + x**2 / 12.0, lens + y**2 / 12.0, x * y / 12.0
+
+
+@inner_nogil
+def _window(size: int, spacing_px: float, variances: Any) -> Any:
+    """(size, size) a Gaussian about the middle, of sum 1."""
+    xx, yy, xy = variances
+    det, weight, total = xx * yy - xy * xy, np.zeros((size, size)), 0.0
+    for a in range(size):
+        v = spacing_px * (a - 0.5 * (size - 1))
+        for b in range(size):
+            u = spacing_px * (b - 0.5 * (size - 1))
+            weight[a, b] = exp(-0.5 * (yy * u * u - 2.0 * xy * u * v + xx * v * v) / det)
+            total += weight[a, b]
+    for a in range(size):
+        for b in range(size):
+            weight[a, b] /= total
+    return weight
 
 
 # --- the picture
@@ -223,31 +251,6 @@ def blur_of_pixels(view: int, model: PictureModel, pose: PoseState, blur_px: flo
     variances = _variances(max(blur_px**2 - PIXEL_VARIANCE_PX2, PIXEL_VARIANCE_PX2), exposed)
     half = min(ceil(BLUR_REACH * sqrt(max(variances[0], variances[1]))), WIDEST_SLOPE_PX)
     return _window(2 * half + 1, 1.0, variances)
-
-
-@inner_no_memory
-def _variances(lens: float, exposed: Any) -> tuple[float, float, float]:
-    """Of the blur by lens and motion [px²]: along rows, along columns, and the covariance of both. `exposed` is the motion within
-    the exposure (x, y) [px]."""
-    x, y = exposed[0], exposed[1]
-    return lens + x**2 / 12.0, lens + y**2 / 12.0, x * y / 12.0
-
-
-@inner_nogil
-def _window(size: int, spacing_px: float, variances: Any) -> Any:
-    """(size, size) a Gaussian about the middle, of sum 1."""
-    xx, yy, xy = variances
-    det, weight, total = xx * yy - xy * xy, np.zeros((size, size)), 0.0
-    for a in range(size):
-        v = spacing_px * (a - 0.5 * (size - 1))
-        for b in range(size):
-            u = spacing_px * (b - 0.5 * (size - 1))
-            weight[a, b] = exp(-0.5 * (yy * u * u - 2.0 * xy * u * v + xx * v * v) / det)
-            total += weight[a, b]
-    for a in range(size):
-        for b in range(size):
-            weight[a, b] /= total
-    return weight
 
 
 @inner_no_memory

@@ -326,8 +326,7 @@ class FrameTracker:
     def _refined_anew(self, image: NDArray[np.float32], pose: Pose, start: State) -> Pose | None:
         """A pose refined from where a refinement ended, as if nothing were known of the light."""
         initial = pose_state(pose.position_m, pose.rotation, start.velocity_m_s, start.omega_rad_s)
-        found = refine_pose(self.view, image, initial, coarse=0, roughly=True)
-        return None if found.covariance is None or found.contour_px < LEAST_CONTOUR_PX else found
+        return _if_determined(refine_pose(self.view, image, initial, coarse=0, roughly=True))
 
     def _trials(self, image: NDArray[np.float32], expected: State, P: Array) -> Iterator[tuple[Pose, State]]:
         """Refined poses with the states that led to them: where the motion leads, then the hypotheses."""
@@ -397,7 +396,7 @@ class FrameTracker:
             edges_alone=edges_alone,
             work=self._work,
         )
-        return None if pose.covariance is None or pose.contour_px < LEAST_CONTOUR_PX else pose
+        return _if_determined(pose)
 
     def _is_acceptable(self, pose: Pose) -> bool:
         """Whether the picture by itself supports a pose."""
@@ -513,6 +512,11 @@ _AXES = np.vstack(
 
 def _state(time_s: float, motion: Array, rotation: Array) -> State:
     return State(time_s, motion[:3].copy(), quat_from_matrix(rotation), motion[3:6].copy(), motion[6:9].copy())
+
+
+def _if_determined(pose: Pose) -> Pose | None:
+    """A refined pose; None if the picture leaves a direction open or shows too little of the contour."""
+    return None if pose.covariance is None or pose.contour_px < LEAST_CONTOUR_PX else pose
 
 
 def widest_sigma(P: Array, first: int) -> float:

@@ -54,9 +54,10 @@ def smooth(
         sigma = np.sqrt(np.diagonal(poses, axis1=1, axis2=2))
         unknown = (sigma[:, :3].max(1) > KNOWN_POSITION_M) | (sigma[:, 3:].max(1) > KNOWN_ROTATION_RAD)
         is_tracked = status[own_rows] == TRACKED
-        use, ends = is_tracked, own_rows[is_tracked][[0, -1]] if is_tracked.any() else own_rows[:0]
-        if len(ends):
-            use = is_tracked | (~unknown & (own_rows > ends[0]) & (own_rows < ends[1]))
+        shown = own_rows[is_tracked]
+        if not len(shown):
+            continue
+        use = is_tracked | (~unknown & (own_rows > shown[0]) & (own_rows < shown[-1]))
         put = own_rows[use]
         position[put], quaternion[put] = flight.poses(track.time_s[put])
         covariance[put], status[put] = 0.5 * (poses + np.swapaxes(poses, 1, 2))[use], TRACKED

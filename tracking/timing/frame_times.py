@@ -217,9 +217,7 @@ def _wholly_in_view(track: Track, die: Die, camera: Camera) -> Rows:
     they state, and grow as the die leaves: beside it the motion of a sound clip once seemed to step by a frame."""
     rows = np.flatnonzero(track.tracked)
     corners = np.einsum("nij,vj->nvi", matrix_from_quat(track.quaternion[rows]), die.solid.vertices)
-    px = camera.project(corners + track.position_m[rows, None])
-    inside = (px >= 0.0) & (px <= np.array([camera.width_px - 1, camera.height_px - 1]))
-    return rows[inside.all((1, 2))]
+    return rows[camera.contains(camera.project(corners + track.position_m[rows, None])).all(1)]
 
 
 def _faults(track: Track, die: Die, copies: Rows, whole: Rows, interval_s: float) -> tuple[FrameFault, ...]:
