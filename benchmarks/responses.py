@@ -12,7 +12,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,8 @@ from population import rendered_clip
 from population_clips import draw_clip
 from single_frames import over_clips, true_poses, view_of
 
-from diethrow.tracking.clip_parameters import BLUR_FRAMES, EstimatedResponse, estimate_lens_blur, estimate_response
+from diethrow.tracking.clip_parameters import BLUR_FRAMES, EstimatedResponse, estimate_lens, estimate_response
+from diethrow.tracking.picture import with_lens
 
 SRGB_EXPONENT = 0.45
 """Exponent that is nearest to the sRGB curve."""
@@ -74,7 +75,7 @@ def estimated(clips: Path, seed: int, number: int) -> Found:
     folder = rendered_clip(clips, draw, number)
     view, source = view_of(folder, states_response=False)
     poses, clip = true_poses(folder, view, len(source)), source.clips[0]
-    view = replace(view, blur_px=estimate_lens_blur(view, poses.sample(source.frame, poses.known, BLUR_FRAMES)))
+    view = with_lens(view, estimate_lens(view, poses.sample(source.frame, poses.known, BLUR_FRAMES)))
     begun = time.perf_counter()
     response = estimate_response(view, lambda most: poses.sample(source.frame, poses.known, most), clip)
     return Found(number, draw.response, draw.codec, response, time.perf_counter() - begun)

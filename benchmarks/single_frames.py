@@ -29,9 +29,9 @@ from diethrow.commands.clip.footage import open_background, open_footage
 from diethrow.executors import Processes, cores
 from diethrow.files.scene import read_scene
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotvec_from_quat
-from diethrow.tracking.clip_parameters import BLUR_FRAMES, estimate_lens_blur, with_light
+from diethrow.tracking.clip_parameters import BLUR_FRAMES, estimate_lens, with_light
 from diethrow.tracking.footage import FrameSource, clip_in_light, estimate_background, level_grey
-from diethrow.tracking.picture import PixelNoise, View, make_view, pixel_noise
+from diethrow.tracking.picture import PixelNoise, View, make_view, pixel_noise, with_lens
 from diethrow.tracking.pose import ClipPoses, pose_state, refine_pose
 
 Array = NDArray[np.float64]
@@ -93,10 +93,10 @@ def clip_errors(clips: Path, seed: int, number: int) -> tuple[tuple[str, ...], A
     poses = true_poses(folder, view, len(source))
     lit = with_light(view, source.frame, poses)
     as_tracked = view if view.shows_surface(np.median(poses.position_m[poses.known], axis=0)) else lit
-    blur_px = estimate_lens_blur(as_tracked, poses.sample(source.frame, poses.known, BLUR_FRAMES))
+    lens = estimate_lens(as_tracked, poses.sample(source.frame, poses.known, BLUR_FRAMES))
     known = np.flatnonzero(poses.known)
     rows = known[np.unique(np.linspace(0, len(known) - 1, FRAMES).astype(int))]
-    ways = [(replace(lit, blur_px=blur_px), True), (replace(as_tracked, blur_px=blur_px), False)]
+    ways = [(with_lens(lit, lens), True), (with_lens(as_tracked, lens), False)]
     return draw.kinds, np.array([[frame_errors(*way, source, poses, int(k)) for k in rows] for way in ways])
 
 

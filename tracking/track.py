@@ -33,9 +33,10 @@ class Track:
     """(n, 6, 6) of position [m] and rotation vector [rad], world axes: R_true = exp(δ) R_est; NaN unless tracked."""
     status: NDArray[np.str_]
     """(n,) TRACKED, LOST or ABSENT."""
-    contour_bias_jacobian: Array | None = None
-    """(n, 6) change of each pose [m/px, rad/px], world axes, for a contour one pixel too far out all round: the Jacobian of the
-    bias common to all frames. NaN where it is unknown, None where no frame has it."""
+    bias_jacobian: Array | None = None
+    """(n, 6, k) change of each pose [m, rad], world axes, by errors common to all frames: per pixel that the contour is drawn too
+    far out all round, and where the cameras' response is not known (k = 2), per unit of its exponent. NaN where it is unknown,
+    None where no frame has it."""
     shared_covariance: Array | None = None
     """(n, 6, 6) covariance of the error common to all frames because the marks on the faces were learned; not part of
     `covariance`. None where no marks were used."""
@@ -44,6 +45,8 @@ class Track:
     and was not calibrated by the residuals of the flights (`tracking.throw.with_calibrated_covariance`). In no file."""
     contour_sigma_px: float = 0.0
     """Standard error of the contour's place common to all frames, from a corner radius that was estimated from the pictures."""
+    response_sigma: float = 0.0
+    """Standard deviation of the exponent of the response, grey = light ** exponent, from that with which the poses were found."""
 
     @property
     def tracked(self) -> NDArray[np.bool_]:

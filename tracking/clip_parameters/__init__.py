@@ -19,7 +19,8 @@ from .corner_radius import sample_in_flight as sample_in_flight
 from .empty_scene import EmptyScene as EmptyScene
 from .empty_scene import empty_scene as empty_scene
 from .lens_blur import BLUR_FRAMES as BLUR_FRAMES
-from .lens_blur import estimate_lens_blur as estimate_lens_blur
+from .lens_blur import depth_of_field as depth_of_field
+from .lens_blur import estimate_lens as estimate_lens
 from .light import with_light as with_light
 from .response import EstimatedResponse as EstimatedResponse
 from .response import estimate_response as estimate_response

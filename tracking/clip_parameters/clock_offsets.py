@@ -175,7 +175,7 @@ def _whitened_rows(state: State, first: Pose, late: Pose) -> Array:
     rotation = rotation_between(quat_from_matrix(first.rotation), quat_from_matrix(late.rotation))
     difference = np.concatenate([late.position_m - first.position_m, rotation])
     rates = np.concatenate([state.velocity_m_s, state.omega_rad_s])
-    columns = [rates, -first.contour_bias_jacobian, late.contour_bias_jacobian, difference]
+    columns = [rates, -first.bias_jacobian[:, 0], late.bias_jacobian[:, 0], difference]
     by_offset, by_first, by_late, right = (column[:, None] for column in columns)
     L = np.linalg.cholesky(first.covariance + late.covariance)
     return np.asarray(np.linalg.solve(L, np.hstack([by_offset, np.eye(6), by_first, by_late, right])))

@@ -17,7 +17,7 @@ How noise grows with the level is not used: grain of faces, codecs and denoising
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,7 +38,6 @@ from ..picture import (
     whole_frame_windows,
 )
 from ..pose import SampledFrames, pose_state, refine_and_score, weak_prior
-from ..throw import outline_growth
 
 Array = NDArray[np.float64]
 Looks = Callable[[int], SampledFrames]
@@ -61,8 +60,12 @@ SAME_SIDE_RAD = 0.4
 CERTAIN_SIGMAS = 3.0
 """Gain of an exponent over the linear response from which the curve is undone: standard errors where there are many sides, and
 where there are few, as many as are exceeded as rarely by Student's distribution."""
-UNKNOWN_SIGMA = 0.2
-"""Standard deviation of the exponent of a response of which nothing is known."""
+UNKNOWN_SIGMA = 0.3
+"""Standard deviation of the exponent of a response of which nothing is known: curves for display have 0.4 to 0.7, and half of the
+cameras for measurements none."""
+LOSSLESS_CODECS = ("ffv1", "rawvideo", "huffyuv", "ffvhuff", "utvideo", "png", "magicyuv", "v210", "r210")
+"""Codecs of FFmpeg that keep pictures as they are. Others smooth edges behind the curve, which then look as those of a linear
+camera: of ten such clips with a curve one is recognised, and four exclude it by three standard errors or more."""
 LEAST_SIGMA = 0.03
 """Least standard error of an exponent: curves of cameras are no powers. The sRGB curve, for one, differs from that with the
 exponent 0.45 by up to 0.035 of full scale in the dark."""
@@ -84,8 +87,6 @@ class EstimatedResponse:
     """1 unless another explains the pictures better for certain."""
     sigma: float
     """Standard error."""
-    contour_sigma_px: float
-    """Standard deviation of the contour of the die that this leaves."""
 
     @property
     def is_linear(self) -> bool:
@@ -102,17 +103,20 @@ class EstimatedResponse:
 
 
 def estimate_response(view: View, looks: Looks, clip: Clip) -> EstimatedResponse | None:
-    """The response of a clip; None if too few frames show edges.
+    """The response of a clip; None if too few frames show edges and no codec wrote the file.
 
     `looks` gives at most so many frames with their poses; these and `view` have the levels of `clip`."""
     trials = _Trials.of(view, looks(RESPONSE_FRAMES), clip)
     if trials is not None and trials.best_sigmas > 0.0:
         trials = _Trials.of(view, looks(MORE_FRAMES), clip)
+    codec = clip.metadata().get("codec")
     if trials is None:
-        return None
-    exponent = trials.best_exponent if trials.is_certain else 1.0
-    sigma = trials.sigma_of(exponent)
-    return EstimatedResponse(exponent, sigma, abs(trials.contour_shift_px) * sigma)
+        # Files that no codec wrote are those of cameras for measurements, which are linear.
+        return None if codec is None else EstimatedResponse(1.0, UNKNOWN_SIGMA)
+    if trials.is_certain:
+        return EstimatedResponse(trials.best_exponent, trials.sigma_of(trials.best_exponent))
+    is_lossy = codec is not None and codec not in LOSSLESS_CODECS
+    return EstimatedResponse(1.0, UNKNOWN_SIGMA if is_lossy else trials.sigma_of(1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,27 +127,24 @@ class _Trials:
     """(m,) the linear response first, then in falling order."""
     gains: Array
     """(m, n) of each exponent on each of n sides of the die, means over frames; 0 for the linear response."""
-    contour_shift_px: float
-    """Displacement of the contour by a departure of 1 from the linear response."""
 
     @staticmethod
     def of(view: View, frames: SampledFrames, clip: Clip) -> _Trials | None:
         """The trials of a clip; None if too few frames have poses with each of the exponents."""
-        found = {exponent: _noise_and_poses(view, frames, clip, exponent) for exponent in TRIED}
-        first = np.array([noise for noise, _ in found.values()])
+        found = {exponent: _log_noise(view, frames, clip, exponent) for exponent in TRIED}
+        first = np.array(list(found.values()))
         if np.isfinite(first).all(axis=0).sum() < FEWEST_FRAMES:
             return None
         if np.nanmean(first[0] - first[1:], axis=1).max() > 0.0:
-            found |= {exponent: _noise_and_poses(view, frames, clip, exponent) for exponent in TRIED_FURTHER}
+            found |= {exponent: _log_noise(view, frames, clip, exponent) for exponent in TRIED_FURTHER}
         exponents = sorted(found, reverse=True)
-        log_noise = np.array([found[exponent][0] for exponent in exponents])
+        log_noise = np.array([found[exponent] for exponent in exponents])
         good = np.flatnonzero(np.isfinite(log_noise).all(axis=0))
         sides = _sides(frames.rotation[good])
         if len(sides) < FEWEST_SIDES:
             return None
-        shift_px = _contour_shift_px(view, frames, [found[exponent][1] for exponent in TRIED[:2]], good)
         gains = _without_outliers(log_noise[0, good] - log_noise[:, good])
-        return _Trials(np.array(exponents), np.stack([gains[:, side].mean(axis=1) for side in sides], axis=1), shift_px)
+        return _Trials(np.array(exponents), np.stack([gains[:, side].mean(axis=1) for side in sides], axis=1))
 
     @property
     def sigmas(self) -> Array:
@@ -183,9 +184,9 @@ class _Trials:
         return float(np.clip(sigma, 0.0 if exponent == 1.0 else LEAST_SIGMA, UNKNOWN_SIGMA))
 
 
-def _noise_and_poses(view: View, frames: SampledFrames, clip: Clip, exponent: float) -> tuple[Array, Array]:
+def _log_noise(view: View, frames: SampledFrames, clip: Clip, exponent: float) -> Array:
     """(n,) mean logarithm of the noise [grey levels of the file] that refined poses leave in frames mapped by an exponent, NaN
-    where there is no pose, and the positions (n, 3) of these."""
+    where there is no pose."""
     backgrounds = np.array([picture_in_light(picture, clip, exponent) for picture in view.backgrounds])
     pictures = [picture_in_light(picture, clip, exponent).reshape(backgrounds.shape) for picture in frames.pictures]
     unit_grey = view.level_grey * level_grey(clip, exponent)
@@ -198,20 +199,21 @@ def _noise_and_poses(view: View, frames: SampledFrames, clip: Clip, exponent: fl
         level_grey=unit_grey,
     )
     file_scale = float(2**clip.bit_depth - 1)
+    full_scale = file_scale * level_grey(clip, exponent)
     settings = view.settings._replace(
-        fine_steps=REFINED_STEPS, min_gain=REFINED_GAIN, region_pixels=0, response=exponent,
-        full_scale=file_scale * level_grey(clip, exponent), file_scale=file_scale,
+        fine_steps=REFINED_STEPS, min_gain=REFINED_GAIN, region_pixels=0, response=exponent, full_scale=full_scale,
+        file_scale=file_scale, saturation_grey=full_scale,
     )  # fmt: skip
-    log_noise, positions_m = np.full(len(frames), np.nan), np.full((len(frames), 3), np.nan)
+    log_noise = np.full(len(frames), np.nan)
     work, equations = new_workspace(view.shape, view.rig), new_equations()
     for k, picture in enumerate(pictures):
         start = pose_state(frames.position_m[k], frames.rotation[k], frames.motion[k, :3], frames.motion[k, 3:])
         windows, prior = whole_frame_windows(view, picture), weak_prior(view, start.position)
         work.shared_grey[:] = 0.0
-        positions_m[k], _, _ = refine_and_score(windows, view.model(settings), start, prior, 0, work, equations)
+        refine_and_score(windows, view.model(settings), start, prior, 0, work, equations)
         if equations.H.any() and equations.statistics[PIXELS] > 0:
             log_noise[k] = equations.statistics[LOG_NOISE] / equations.statistics[PIXELS]
-    return log_noise, positions_m
+    return log_noise
 
 
 def _sides(rotations: Array) -> list[NDArray[np.int64]]:
@@ -230,17 +232,3 @@ def _without_outliers(gains: Array) -> Array:
     middle = np.median(gains, axis=1, keepdims=True)
     spread = OUTLIER_DEVIATIONS * NORMAL_MAD * np.median(np.abs(gains - middle), axis=1, keepdims=True)
     return np.asarray(np.clip(gains, middle - spread, middle + spread))
-
-
-def _contour_shift_px(
-    view: View, frames: SampledFrames, positions_m: Sequence[Array], good: NDArray[np.int64]
-) -> float:
-    """Displacement of the contour [px] by a departure of 1 from the linear response: the median over frames of what the distances
-    of poses (n, 3) with each of the first two exponents mean."""
-    near, far = positions_m[0][good], positions_m[1][good]
-    sight = near - view.camera.centre_m
-    growth = outline_growth(view.camera, view.die, near, frames.rotation[good])
-    nearer = -np.einsum("ni,ni->n", far - near, sight) / np.einsum("ni,ni->n", sight, sight)
-    seen = growth > 0.0
-    shifts = nearer[seen] / growth[seen] / (TRIED[0] - TRIED[1])
-    return float(np.median(shifts)) if len(shifts) else 0.0

@@ -23,6 +23,7 @@ from ..placed_die import LOG_NOISE as LOG_NOISE
 from ..placed_die import NARROW_WINDOW_PX as NARROW_WINDOW_PX
 from ..placed_die import PARAMETERS as PARAMETERS
 from ..placed_die import PIXELS as PIXELS
+from ..placed_die import RESPONSE as RESPONSE
 from ..placed_die import ROBUST_COST as ROBUST_COST
 from ..placed_die import ROW_ITERATIONS as ROW_ITERATIONS
 from ..placed_die import SPHERE as SPHERE
@@ -43,10 +44,12 @@ from ..placed_die import Workspace as Workspace
 from ..placed_die import begin_light as begin_light
 from ..placed_die import cholesky_factor as cholesky_factor
 from ..placed_die import crop_windows as crop_windows
+from ..placed_die import defocus_variance as defocus_variance
 from ..placed_die import exposure_delay as exposure_delay
 from ..placed_die import inverse_positive as inverse_positive
 from ..placed_die import keep_light as keep_light
 from ..placed_die import kept_light as kept_light
+from ..placed_die import lens_blur_at as lens_blur_at
 from ..placed_die import new_equations as new_equations
 from ..placed_die import new_workspace as new_workspace
 from ..placed_die import normal_monomials as normal_monomials
@@ -96,6 +99,7 @@ from .surface_equations import compares_surface as compares_surface
 from .view import THREADS as THREADS
 from .view import Array as Array
 from .view import Image as Image
+from .view import Lens as Lens
 from .view import View as View
 from .view import make_view as make_view
 from .view import outline_box as outline_box
@@ -108,5 +112,6 @@ from .view import visible_faces as visible_faces
 from .view import whole_frame_windows as whole_frame_windows
 from .view import with_corner_radius as with_corner_radius
 from .view import with_first_camera_only as with_first_camera_only
+from .view import with_lens as with_lens
 from .view import with_occluder_mask as with_occluder_mask
 from .view import with_reflections as with_reflections

@@ -10,16 +10,16 @@ where c0 is the face on the near side and c1 the other face (b = 1), or the shad
 background without the die: c1 = 1 in full light and less in the die's own shadow). The intensities of a short stretch
 of edge are eliminated (`edge_stretch`); the strips beside a rounded edge have two more (`rounded_edge`).
 
-The blur σ is that of the lens, and on every pixel line also that of the motion. An edge that moves by m pixels across
-itself during the exposure is spread by a box of variance m²/12. The curvature of its path within the exposure T shifts
-its mean position by T²/24 of the second derivative of d, which matters where the die turns by some hundredths of a
-radian.
+The blur σ is that of the lens (at the depth of the edge, where the lens shows a depth of field), and on every pixel line
+also that of the motion. An edge that moves by m pixels across itself during the exposure is spread by a box of variance
+m²/12. The curvature of its path within the exposure T shifts its mean position by T²/24 of the second derivative of d,
+which matters where the die turns by some hundredths of a radian.
 
 Pose increments are (δp, δθ): world position [m], and rotation vector in world axes [rad], R_true = exp(δθ) R. The
-equations have two more columns, which belong to a whole clip and not to a frame: the contour drawn δ [px] too far out
-(a bevel or a glare that the model does not know), and the blur. They are not solved for here. The first gives the bias
-of the pose for a given contour error (`contour_bias_jacobians`), the second lets the blur be estimated over many
-frames.
+equations have three more columns, which belong to a whole clip and not to a frame: the contour drawn δ [px] too far out
+(a bevel or a glare that the model does not know), the blur, and the exponent of the camera's response. They are not
+solved for here. The first and the last give the bias of the pose that such an error leaves (`bias_jacobians`), the blur
+is estimated over many frames.
 
 Several views add up their equations: cameras, and for a table that reflects, each camera seen in the mirror (its pose
 times diag(1, 1, -1): the die's reflection is what the mirrored camera sees). Lines where the die and its reflection
@@ -40,11 +40,9 @@ import numpy as np
 
 from ...model.compiled import inner_no_memory
 from ..placed_die import (
-    BLUR,
     CONTOUR,
     MAX_STRETCH_PIXELS,
     NO_LIGHT,
-    PARAMETERS,
     STRIP_CELLS,
     EdgeSampling,
     FrameWindows,
@@ -54,6 +52,8 @@ from ..placed_die import (
     Workspace,
     camera_point,
     clear_light,
+    defocus_variance,
+    depth_of,
     eliminate_light,
     exposure_delay,
     fill_rounded_basis,
@@ -69,6 +69,7 @@ from ..placed_die import (
     room_beside,
     strip_turn,
     turned_within,
+    used_columns,
     within_hull,
 )
 from .edge_stretch import Stretch, add_stretch, eliminate_shared_greys
@@ -142,6 +143,9 @@ def add_edge_equations(
         work.row_begin,
         work.face_cosine,
     )
+    aperture, focus, centre2 = rig.aperture[view], rig.focus[view], 0.0
+    if aperture > 0.0:
+        centre2 = defocus_variance(aperture, focus, K[0, 0], depth_of(rig, view, pose.position))
     speed2 = omega[0] ** 2 + omega[1] ** 2 + omega[2] ** 2
     curved = speed2 * exposure * exposure / 24.0 * reach_of_die(shape) * K[0, 0] / cam[0, 2] > CURVED_PATH_PX
     lines[:] = 0.0
@@ -204,7 +208,7 @@ def add_edge_equations(
                     n, m, sharp, interior, under_sum, walked, (last - first + 1) / (stride * m), rig.weight[view], view, f0,
                     f1 if interior else len(facing),
                 )  # fmt: skip
-                add_stretch(stretch, settings, with_blur, work, equations)
+                add_stretch(stretch, settings, sampling, work, equations)
                 n = m = np.int64(0)
                 walked, under_sum = 0.0, 0.0
             if line > last:
@@ -249,7 +253,11 @@ def add_edge_equations(
                 if m == 0 and work.light.level[view] > 0.0:
                     fill_strip_rows(normal[f0], work.strip_end, angle, interior, work.light.mean[view], work.light)
                 fill_strip_slopes(interior, work.light.left, work)
-            blur, bend, rate = sigma, 0.0, 0.0
+            lens2, bend, rate = sigma * sigma, 0.0, 0.0
+            if aperture > 0.0:
+                # The blur at this point of the edge, and not at the depth of the centre.
+                lens2 += defocus_variance(aperture, focus, K[0, 0], Az + s * Dz) - centre2
+            blur = sqrt(lens2)
             if exposure > 0.0 or row_s != 0.0:
                 rate = (
                     ax_then * vel[0]
@@ -261,7 +269,7 @@ def add_edge_equations(
                 )
             if exposure > 0.0:
                 move = rate * exposure
-                blur = sqrt(sigma * sigma + move * move / 12.0)
+                blur = sqrt(lens2 + move * move / 12.0)
                 if curved:
                     bend = _distance_acceleration(J, Rcw, (nx, ny), arm_then, edge_then, vel, omega)
                     bend = bend * exposure * exposure / 24.0
@@ -334,7 +342,7 @@ def add_edge_equations(
             m += 1
             row_begin[m] = n
             walked += row_length
-    top = PARAMETERS if with_blur else BLUR
+    top = used_columns(sampling)
     if sharp:
         eliminate_shared_greys(work, view, top, H, g)
     else:

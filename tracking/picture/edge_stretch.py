@@ -35,12 +35,13 @@ from ..placed_die import (
     CONTOUR_PX,
     FACE_EDGES,
     LOG_NOISE,
-    PARAMETERS,
     PIXELS,
+    RESPONSE,
     ROBUST_COST,
     STRETCHES,
     TAIL_DEGREES,
     WEIGHT_SUM,
+    EdgeSampling,
     NormalEquations,
     RefinementSettings,
     Workspace,
@@ -48,6 +49,7 @@ from ..placed_die import (
     cholesky_factor,
     fill_expected,
     solve_factored,
+    used_columns,
 )
 
 FEWEST_PIXELS = 12
@@ -81,6 +83,8 @@ size count as well as what is seen beyond them. Single pictures of made dice, ma
 poses with the light of the clip, then had a NEES of 7 to 19; without it 14 to 140."""
 LEAST_FILE_NOISE = 0.5
 """Least noise in the file's grey levels: rounding to whole levels leaves 0.3."""
+MIXED_SHARE = 0.01
+"""Share of either side in a pixel from which it shows both."""
 LEAST_PIVOT = 1e-9
 """Part of its diagonal that a pivot of the intensities keeps at the least; below, two of them cannot be separated."""
 LEAST_SHARED_PIVOT = 1e-12
@@ -114,7 +118,7 @@ class Stretch(NamedTuple):
 
 @inner_no_memory
 def add_stretch(
-    stretch: Stretch, settings: RefinementSettings, with_blur: bool, work: Workspace, equations: NormalEquations
+    stretch: Stretch, settings: RefinementSettings, sampling: EdgeSampling, work: Workspace, equations: NormalEquations
 ) -> None:
     """Add one stretch of edge to the normal equations and their statistics.
 
@@ -122,6 +126,7 @@ def add_stretch(
     and `row_jacobian`.
     """
     n, m, sharp, near, far = stretch.pixels, stretch.rows, stretch.sharp, stretch.near, stretch.far
+    with_blur, with_response = sampling.with_blur, sampling.with_response
     view, noise_floor = stretch.view_index, settings.noise_floor_grey
     H, g, stats = equations.H, equations.g, equations.statistics
     stats[PIXELS] += n
@@ -204,11 +209,14 @@ def add_stretch(
             left += light.deviation[view] * light.deviation[view]
         left *= LEFT_SHARE * LEFT_SHARE * stretch.edge_stretches
         iv /= 1.0 + iv * left * _light_shift(n, L, rise, w, phi, y)
+    bent = work.response_slope
+    if with_response:
+        _fill_response_slopes(n, c[0], phi[0], work.value, res, bent)
     begin, rows = work.row_begin, work.row_jacobian
     C[:] = 0.0
     for k in range(m):
         # All pixels of a line share the derivative of d: sums over its pixels first, then the parameters once.
-        rr, re, r0, r1, r2, r3, rs = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        rr, re, r0, r1, r2, r3, rs, rb = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(begin[k], begin[k + 1]):
             wr = w[i] * rise[i]
             rr += wr * rise[i]
@@ -231,6 +239,14 @@ def add_stretch(
                 g[BLUR] += iv * ws * res[i]
                 for a in range(K):
                     C[BLUR, a] += iv * ws * phi[a, i]
+        if with_response:
+            for i in range(begin[k], begin[k + 1]):
+                wb = w[i] * bent[i]
+                rb += wb * rise[i]
+                H[RESPONSE, RESPONSE] += iv * wb * bent[i]
+                g[RESPONSE] += iv * wb * res[i]
+                for a in range(K):
+                    C[RESPONSE, a] += iv * wb * phi[a, i]
         j0, j1, j2, j3 = rows[k, 0], rows[k, 1], rows[k, 2], rows[k, 3]
         j4, j5, j6, j7 = rows[k, 4], rows[k, 5], rows[k, 6], rows[k, 7]
         for a in range(BLUR):
@@ -252,8 +268,9 @@ def add_stretch(
             h[6] += jr * j6
             h[7] += jr * j7
             H[BLUR, a] += ja * rs
+            H[RESPONSE, a] += ja * rb
     # H -= C S⁻¹ Cᵀ, with S = A iv.
-    top = PARAMETERS if with_blur else BLUR
+    top = used_columns(sampling)
     sharing = known_near > 0.0 or known_far > 0.0
     by_near, by_far = work.shared_coupling[view, near], work.shared_coupling[view, far]
     for b in range(top):
@@ -521,6 +538,21 @@ def _grey_slopes(n: int, K: int, c: Any, icut: float, slope: Any, res: Any, rise
         cost += 1.0 - q * q * q
         used += w[i]
     return cost, used
+
+
+@inner_no_memory
+def _fill_response_slopes(n: int, near_grey: float, near: Any, value: Any, res: Any, out: Any) -> None:
+    """Fill the derivative of each pixel by the exponent of the response, with the greys on both sides of the edge held.
+
+    Blur mixes light and not grey levels. Of two sides a and b, of which a pixel shows the shares φ and 1 - φ, it shows
+    (φ a^1/γ + (1 - φ) b^1/γ)^γ; the derivative by γ at 1 is P ln P - φ a ln a - (1 - φ) b ln b, with P = φ a + (1 - φ) b."""
+    a = max(near_grey, LEAST_FILE_NOISE)
+    for i in range(n):
+        out[i] = 0.0
+        if MIXED_SHARE < near[i] < 1.0 - MIXED_SHARE:
+            mixed = max(value[i] - res[i], LEAST_FILE_NOISE)
+            b = max((mixed - near[i] * a) / (1.0 - near[i]), LEAST_FILE_NOISE)
+            out[i] = mixed * log(mixed) - near[i] * a * log(a) - (1.0 - near[i]) * b * log(b)
 
 
 @inner_no_memory

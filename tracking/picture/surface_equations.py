@@ -11,6 +11,10 @@ unknowns of the picture, eliminated as those of edges are.
 marks, highlights and what stands in the way. Flat faces say nothing about the pose but through their brightness, which all
 of their pixels share: their pixels are added up before they enter the equations.
 
+**Saturation.** A pixel at full scale says "at least this bright": where as much or more is predicted it counts as explained and
+says nothing else, and where less is, it counts as any other. How bright a saturated face is then follows from its contour and
+the light.
+
 **Correlation.** What the model does not know of a surface (highlights, texture, codecs) is smooth, so that residuals beside
 each other are alike. A picture with the correlations ρ_x and ρ_y of neighbours says as much as one of independent residuals
 that has (1 - ρ_x)(1 - ρ_y)/((1 + ρ_x)(1 + ρ_y)) times the pixels, and the equations are scaled by that.
@@ -36,6 +40,7 @@ from ..placed_die import (
     NOTHING,
     PARAMETERS,
     PIXELS,
+    RESPONSE,
     ROBUST_COST,
     SMALLEST_WINDOW_PX,
     STRETCHES,
@@ -63,12 +68,14 @@ from ..placed_die import (
     pixels_about,
     place_die,
     solve_factored,
+    used_columns,
 )
 from .edge_equations import add_edge_equations
 from .edge_stretch import (
     BIWEIGHT_CUT,
     CLEAR_SIGMAS,
     LEAST_FILE_NOISE,
+    MIXED_SHARE,
     NORMAL_MAD,
     file_residual,
     median_size,
@@ -92,6 +99,8 @@ SHADOW_SHARE = 0.05
 """Difference of a pixel from the shaded background, as a share of it, that is added to these."""
 REWEIGHTINGS = 5
 """Iterations of these weights."""
+SATURATED_PART = 0.01
+"""Part of full scale by which a saturated pixel may be predicted darker and still counts as explained: noise."""
 SCALE_CELLS = 128
 """Cells of the histogram from which the median of residuals is found."""
 CELL_SIGMAS = 0.0625
@@ -169,8 +178,10 @@ def add_surface_equations(
     draw_surface(view, model, pose, sampling, work, grid)
     shades, residual = np.ones(pieces), np.zeros(grid.part.shape)
     corner = (wx, wy)
-    _solve_deviations(image, background, corner, grid, (view, model.settings.noise_grey), work, shades)
-    if _fill_residuals(image, background, corner, grid, shades, residual):
+    settings = model.settings
+    of_clip = (view, settings.noise_grey, settings.saturation_grey)
+    _solve_deviations(image, background, corner, grid, of_clip, work, shades)
+    if _fill_residuals(image, background, corner, grid, shades, settings.saturation_grey, residual):
         _add_pixels(image, background, corner, grid, (shades, residual), (view, model, pose, sampling), work, equations)
 
 
@@ -199,7 +210,7 @@ def _solve_deviations(
     """Solve for the deviation of each part of the surface from the light, by pixels that show it alone, and for the shade
     (pieces,) of the background beside each piece of the contour, with Cauchy's weights: marks may cover half of a flat face.
     What the deviations change is added to the glow of pixels."""
-    (wx, wy), (view, noise_grey), light = corner, of_clip, work.light
+    (wx, wy), (view, noise_grey, saturation), light = corner, of_clip, work.light
     level, deviation, before = light.level[view], DEVIATION_FACTOR * light.deviation[view], light.part_deviation[view]
     noise2 = max(noise_grey, LEAST_NOISE_GREY) ** 2
     v = noise2 + (GRAIN_SHARE * level) ** 2
@@ -218,6 +229,8 @@ def _solve_deviations(
                 value, under = image[grid.y0 + i - wy, grid.x0 + j - wx], background[grid.y0 + i, grid.x0 + j]
                 if grid.share[i, j] > PURE_SHARE and part != NOTHING:
                     e = value - grid.glow[i, j]
+                    if value >= saturation and e < change[part]:
+                        continue
                     weight = 1.0 / (1.0 + (e - change[part]) ** 2 / (MARK_SIGMAS * MARK_SIGMAS * v))
                     sums[part] += weight * e
                     number[part] += weight
@@ -268,8 +281,11 @@ def _fill_median_changes(image: Any, corner: Any, grid: SurfaceGrid, level: floa
 
 
 @inner_nogil
-def _fill_residuals(image: Any, background: Any, corner: Any, grid: SurfaceGrid, shades: Any, residual: Any) -> bool:
-    """Fill what the picture differs from the predicted one (rows, columns) [grey]; false if the prediction is none."""
+def _fill_residuals(
+    image: Any, background: Any, corner: Any, grid: SurfaceGrid, shades: Any, saturation: float, residual: Any
+) -> bool:
+    """Fill what the picture differs from the predicted one (rows, columns) [grey], 0 for a saturated pixel that is predicted to
+    be as bright or brighter; false if the prediction is none."""
     for i in range(grid.part.shape[0]):
         for j in range(grid.part.shape[1]):
             k = grid.side[i, j]
@@ -279,6 +295,8 @@ def _fill_residuals(image: Any, background: Any, corner: Any, grid: SurfaceGrid,
                 residual[i, j] = value - grid.glow[i, j] - (1.0 - grid.share[i, j]) * under
                 if not abs(residual[i, j]) < LARGEST_RESIDUAL_GREY:
                     return False
+                if value >= saturation and residual[i, j] < SATURATED_PART * saturation:
+                    residual[i, j] = 0.0
     return True
 
 
@@ -302,7 +320,7 @@ def _add_pixels(
     independent = _independent_share(grid, residual, (noise2 * scale * scale, grain2 * scale * scale), nf)
     shared, right = np.zeros((_ALL, _ALL)), np.zeros(_ALL)
     tie, by, left, of_face = np.zeros((parts, parts)), np.zeros((parts, _ALL)), np.zeros(parts), np.zeros((nf, 2))
-    row, top = np.zeros(_ALL), PARAMETERS if sampling.with_blur else BLUR
+    row, top = np.zeros(_ALL), used_columns(sampling)
     blur = blur_of_pixels(view, model, pose, sampling.blur_px)
     slope, shown, shares = np.zeros(3 + LIGHT_TERMS), np.zeros(SHOWN_PARTS, np.int64), np.zeros(SHOWN_PARTS)
     for i in range(grid.part.shape[0]):
@@ -311,6 +329,11 @@ def _add_pixels(
             if k == NOTHING:
                 continue
             w, e, part = grid.share[i, j], residual[i, j], grid.part[i, j]
+            under = shades[k] * background[grid.y0 + i, grid.x0 + j]
+            seen = image[grid.y0 + i - corner[1], grid.x0 + j - corner[0]]
+            _add_cost(e, w, seen - under, (settings.noise_grey, level), cost)
+            if seen >= settings.saturation_grey and e == 0.0:
+                continue
             v = scale * scale * (noise2 + w * w * grain2)
             q = max(1.0 - e * e / (BIWEIGHT_CUT * BIWEIGHT_CUT * v), 0.0)
             iv = independent * q * q / v
@@ -320,14 +343,6 @@ def _add_pixels(
                 stats[WEIGHT_SUM] += q * q
                 stats[ROBUST_COST] += 1.0 - q * q * q
                 stats[LOG_NOISE] += 0.5 * log(v) if settings.response == 0.0 else 0.0
-            under = shades[k] * background[grid.y0 + i, grid.x0 + j]
-            _add_cost(
-                e,
-                w,
-                image[grid.y0 + i - corner[1], grid.x0 + j - corner[0]] - under,
-                (settings.noise_grey, level),
-                cost,
-            )
             if abs(grid.beyond[i, j, 0]) < 0.5:
                 stats[CONTOUR_PX] += 1.0
                 if _is_clear(image, corner, grid, (i, j), under, (sampling.blur_px, scale * sqrt(noise2))):
@@ -350,6 +365,7 @@ def _add_pixels(
                 row[3 + a] += slope[a]
             row[CONTOUR] = step * grid.beyond[i, j, 3]
             row[BLUR] = step * grid.beyond[i, j, 4] if sampling.with_blur else 0.0
+            row[RESPONSE] = _response_slope(w, grid.glow[i, j], under) if sampling.with_response else 0.0
             for a in range(LIGHT_TERMS):
                 row[PARAMETERS + a] = slope[3 + a]
             _add_row(row, iv, e, shared, right)
@@ -433,6 +449,17 @@ def _add_cost(e: float, w: float, difference: float, scene: Any, cost: Any) -> N
 
 
 @inner_no_memory
+def _response_slope(share: float, glow: float, under: float) -> float:
+    """Derivative of a pixel on the contour by the exponent of the response, see `edge_stretch`: of the die, which has a `share`
+    of it and leaves `glow` [grey] there, and of the background."""
+    if share < MIXED_SHARE or share > 1.0 - MIXED_SHARE:
+        return 0.0
+    die, mixed = max(glow / share, LEAST_FILE_NOISE), max(glow + (1.0 - share) * under, LEAST_FILE_NOISE)
+    table = max(under, LEAST_FILE_NOISE)
+    return mixed * log(mixed) - share * die * log(die) - (1.0 - share) * table * log(table)
+
+
+@inner_no_memory
 def _is_telling(grid: SurfaceGrid, i: int, j: int, faces: int) -> bool:
     """Whether a pixel shows a bevel or the contour."""
     w = grid.share[i, j]
@@ -446,7 +473,7 @@ def _scale_of_residuals(grid: SurfaceGrid, residual: Any, noise: Any, faces: int
     cells, counted = np.zeros(SCALE_CELLS), 0.0
     for i in range(grid.part.shape[0]):
         for j in range(grid.part.shape[1]):
-            if grid.side[i, j] != NOTHING and _is_telling(grid, i, j, faces):
+            if grid.side[i, j] != NOTHING and _is_telling(grid, i, j, faces) and residual[i, j] != 0.0:
                 size = abs(residual[i, j]) / sqrt(noise[0] + grid.share[i, j] ** 2 * noise[1])
                 cells[int(min(size / CELL_SIGMAS, SCALE_CELLS - 1.0))] += 1.0
                 counted += 1.0
@@ -468,7 +495,7 @@ def _file_log_noise(
     sizes, n = np.zeros(residual.size), 0
     for i in range(grid.part.shape[0]):
         for j in range(grid.part.shape[1]):
-            if grid.side[i, j] != NOTHING and _is_telling(grid, i, j, faces):
+            if grid.side[i, j] != NOTHING and _is_telling(grid, i, j, faces) and residual[i, j] != 0.0:
                 value = image[grid.y0 + i - corner[1], grid.x0 + j - corner[0]]
                 sizes[n] = abs(file_residual(value, residual[i, j], settings))
                 n += 1

@@ -66,6 +66,23 @@ still determine the distance near the mirror, where die and reflection hide each
 alone."""
 
 
+@dataclass(frozen=True)
+class Lens:
+    """How sharp a lens draws."""
+
+    blur_px: float
+    """Standard deviation of the blur where it is in focus."""
+    aperture_m: float = 0.0
+    """Its diameter; 0 where all depths are taken for equally sharp."""
+    focus_m: float = 1.0
+    """Depth at which it is in focus."""
+
+    def blur_at_px(self, depth_m: Array, focal_px: float) -> Array:
+        """(n,) standard deviation of the blur at some depths, for a focal length: see `placed_die.defocus_variance`."""
+        defocus_px = 0.25 * self.aperture_m * focal_px * (1.0 / depth_m - 1.0 / self.focus_m)
+        return np.hypot(self.blur_px, defocus_px)
+
+
 @dataclass(frozen=True, eq=False)
 class View:
     """Everything about the scene that stays the same from frame to frame."""
@@ -79,7 +96,7 @@ class View:
     exposure_s: float
     """0 if it is not known."""
     blur_px: float
-    """Standard deviation of the lens blur."""
+    """Standard deviation of the lens blur, where it is in focus."""
     quality: Quality
     symmetries: Array
     """(order, 3, 3) rotations that map the die's shape onto itself: only marks distinguish its labellings."""
@@ -94,6 +111,11 @@ class View:
     """Unit of thresholds in grey levels, see `PixelNoise`."""
     readout_s: float = 0.0
     """Time from the exposure of the first row to that of the last; 0 for a global shutter."""
+    saturation_grey: float = np.inf
+    """Level from which a pixel is saturated."""
+    response_sigma: float = 0.0
+    """Standard deviation of the exponent of the cameras' response, grey = light ** exponent, from that of the clip's levels; 0
+    where it is known."""
 
     @property
     def camera(self) -> Camera:
@@ -109,6 +131,11 @@ class View:
     def mirror(self) -> bool:
         """Whether the table reflects the die."""
         return len(self.rig.weight) > len(self.cameras)
+
+    @property
+    def lens(self) -> Lens:
+        """That of the first camera."""
+        return Lens(self.blur_px, float(self.rig.aperture[0]), float(self.rig.focus[0]))
 
     @property
     def inner(self) -> Array:
@@ -140,6 +167,7 @@ class View:
             min_step_px=0.0,
             line_stride=1,
             with_blur=False,
+            with_response=self.response_sigma > 0.0,
             region_pixels=quality.region_pixels,
             band_px=quality.band_px,
             rounding_grey=self.rounding_grey,
@@ -150,6 +178,7 @@ class View:
             response=0.0,
             full_scale=1.0,
             file_scale=1.0,
+            saturation_grey=self.saturation_grey,
         )
 
     @property
@@ -161,6 +190,7 @@ class View:
             min_step_px=quality.min_step_px,
             line_stride=quality.tracking_line_stride,
             strip_prior_share=TRACKED_STRIP_SHARE,
+            with_response=False,
         )
 
     def shows_surface(self, position_m: Array) -> bool:
@@ -228,6 +258,13 @@ def make_view(
     )  # fmt: skip
 
 
+def with_lens(view: View, lens: Lens) -> View:
+    """The view with a lens blur and a depth of field, the same for all cameras."""
+    n = len(view.rig.weight)
+    rig = view.rig._replace(aperture=np.full(n, lens.aperture_m), focus=np.full(n, lens.focus_m))
+    return replace(view, blur_px=lens.blur_px, rig=rig)
+
+
 def with_corner_radius(view: View, radius_m: float) -> View:
     """The view of the same die with another corner radius [m]. Raises ValueError if it leaves no flat face."""
     die = replace(view.die, corner_radius_m=radius_m)
@@ -279,6 +316,7 @@ def _camera_rig(cameras: tuple[Camera, ...], mirror: bool, readout_s: float) -> 
         np.ascontiguousarray(rotations, float), np.ascontiguousarray([c.translation_m for c in twice], float),
         np.array([k % n for k in range(len(twice))]), np.array(partner), (np.arange(len(twice)) < n).astype(float),
         np.array([readout_s / (c.height_px - 1) for c in twice]), np.array([0.5 * (c.height_px - 1) for c in twice]),
+        np.zeros(len(twice)), np.ones(len(twice)),
     )  # fmt: skip
 
 

@@ -17,6 +17,7 @@ from .kernel_types import LOG_NOISE as LOG_NOISE
 from .kernel_types import MAX_STRETCH_PIXELS as MAX_STRETCH_PIXELS
 from .kernel_types import PARAMETERS as PARAMETERS
 from .kernel_types import PIXELS as PIXELS
+from .kernel_types import RESPONSE as RESPONSE
 from .kernel_types import ROBUST_COST as ROBUST_COST
 from .kernel_types import STATISTICS as STATISTICS
 from .kernel_types import STRETCHES as STRETCHES
@@ -34,6 +35,7 @@ from .kernel_types import Shape as Shape
 from .kernel_types import Workspace as Workspace
 from .kernel_types import new_equations as new_equations
 from .kernel_types import new_workspace as new_workspace
+from .kernel_types import used_columns as used_columns
 from .projection import LEAST_DEPTH_M as LEAST_DEPTH_M
 from .projection import NARROW_WINDOW_PX as NARROW_WINDOW_PX
 from .projection import ROW_ITERATIONS as ROW_ITERATIONS
@@ -41,8 +43,11 @@ from .projection import SMALLEST_WINDOW_PX as SMALLEST_WINDOW_PX
 from .projection import WINDOW_PX as WINDOW_PX
 from .projection import camera_point as camera_point
 from .projection import crop_windows as crop_windows
+from .projection import defocus_variance as defocus_variance
+from .projection import depth_of as depth_of
 from .projection import exposure_delay as exposure_delay
 from .projection import face_lines as face_lines
+from .projection import lens_blur_at as lens_blur_at
 from .projection import neighbour_edges as neighbour_edges
 from .projection import outline_hull as outline_hull
 from .projection import pixel_of_ray as pixel_of_ray

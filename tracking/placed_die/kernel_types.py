@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...model.compiled import compiled, inner_nogil
+from ...model.compiled import compiled, inner_no_memory, inner_nogil
 
 MAX_STRETCH_PIXELS = 2048
 """Capacity of the workspace for pixels of one stretch of edge; pixel lines beyond it are left out."""
@@ -25,12 +25,15 @@ LIGHT_DEGREE = 4
 LIGHT_TERMS = (LIGHT_DEGREE + 1) ** 2
 """Number of its coefficients on the sphere, where z² is 1 - x² - y²."""
 
-PARAMETERS = 8
-"""Columns of the normal equations: position (3) [m], rotation vector (3) [rad], contour error [px], blur [px]."""
+PARAMETERS = 9
+"""Columns of the normal equations: position (3) [m], rotation vector (3) [rad], contour error [px], blur [px], exponent of the
+response."""
 CONTOUR = 6
 """Column of the contour error: how far out the contour is drawn [px]."""
 BLUR = 7
 """Column of the blur."""
+RESPONSE = 8
+"""Column of the response, grey = light ** exponent: by how much its exponent is above that of the clip's levels."""
 
 STATISTICS = 8
 """Numbers that the kernels count beside the normal equations; their places follow."""
@@ -94,6 +97,10 @@ class CameraRig(NamedTuple):
     """(views,) [s] from the exposure of one row to that of the next; 0 for a global shutter."""
     middle_row: Any
     """(views,) [px] row whose exposure is the time of the frame."""
+    aperture: Any
+    """(views,) [m] diameter of the lens; 0 where all depths are taken for equally sharp."""
+    focus: Any
+    """(views,) [m] depth at which the picture is sharpest."""
 
 
 class FrameWindows(NamedTuple):
@@ -113,7 +120,7 @@ class RefinementSettings(NamedTuple):
     exposure_s: float
     """0 if it is not known."""
     blur_px: float
-    """Standard deviation of the lens blur."""
+    """Standard deviation of the lens blur, where it is in focus."""
     noise_floor_grey: float
     """Least noise that a stretch of edge is given."""
     noise_grey: float
@@ -135,6 +142,8 @@ class RefinementSettings(NamedTuple):
     """One pixel line in so many is used."""
     with_blur: bool
     """Whether the normal equations get their column of the blur."""
+    with_response: bool
+    """Whether they get their column of the response."""
     region_pixels: int
     """Pixels that the region cost of a pose is taken over; 0 to leave it out."""
     band_px: float
@@ -158,6 +167,8 @@ class RefinementSettings(NamedTuple):
     """Largest level of the clip."""
     file_scale: float
     """Largest grey level of the file."""
+    saturation_grey: float
+    """Level of a saturated pixel, which says that it is at least this bright; infinite if none is."""
 
 
 class PictureModel(NamedTuple):
@@ -189,11 +200,13 @@ class EdgeSampling(NamedTuple):
     """How one step of a refinement samples the edges."""
 
     blur_px: float
-    """Lens blur that is assumed."""
+    """Lens blur that is assumed at the depth of the die's centre."""
     band_px: float
     """Half-width of the band of pixels about an edge."""
     with_blur: bool
     """Whether the equations get their column of the blur."""
+    with_response: bool
+    """Whether they get their column of the response."""
 
 
 class NormalEquations(NamedTuple):
@@ -326,6 +339,8 @@ class Workspace(NamedTuple):
     """Absolute residuals."""
     grey_slope: Any
     """dI/dd of the fitted intensities."""
+    response_slope: Any
+    """dI by the exponent of the response, with the greys on both sides held."""
     known_slope: Any
     """dI/dd of what the basis functions of a rounded edge leave of the brightness."""
     neighbours: Any
@@ -392,13 +407,21 @@ def new_workspace(shape: Shape, rig: CameraRig) -> Workspace:
         np.zeros(3), np.zeros(STRIP_CELLS + 1),
         np.zeros((STRIP_CELLS + 1, 5)), np.zeros(5), np.zeros(3), np.zeros((ne, 5)), np.zeros(most),
         np.zeros((4, most)), np.zeros((4, most)), np.zeros((4, most)), np.zeros(most), np.zeros(most), np.zeros(most),
-        np.zeros(most), np.zeros(most), np.zeros(most), np.zeros((2, shape.face_edges.shape[1], 5)),
+        np.zeros(most), np.zeros(most), np.zeros(most), np.zeros(most), np.zeros((2, shape.face_edges.shape[1], 5)),
         np.zeros(MAX_STRETCH_ROWS, np.int64),
         np.zeros((MAX_STRETCH_ROWS, PARAMETERS)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((PARAMETERS, 4)), np.zeros(4),
         np.zeros(4), np.zeros(nf + 1), np.zeros((views, nf + 1, 5)), np.zeros((views, nf + 1, 2)),
         np.zeros((views, nf + 1, nf + 1)), np.zeros((views, nf + 1, PARAMETERS)), np.zeros((views, nf + 1)),
         np.zeros((views, nf + 2), np.int64), light, np.zeros(4),
     )  # fmt: skip
+
+
+@inner_no_memory
+def used_columns(sampling: EdgeSampling) -> int:
+    """Leading columns of the normal equations that are filled."""
+    if sampling.with_response:
+        return PARAMETERS
+    return BLUR + 1 if sampling.with_blur else BLUR
 
 
 @compiled(nogil=True)

@@ -48,6 +48,34 @@ def pixel_of_ray(K: Any, dist: Any, a: float, b: float) -> tuple[float, float]:
 
 
 @inner_no_memory
+def defocus_variance(aperture_m: float, focus_m: float, focal_px: float, depth_m: float) -> float:
+    """Variance [px²] of the blur of a point out of focus, along either axis.
+
+    A lens of diameter D that is focused at z₀ draws a point at z as a disc of the radius D f |1/z - 1/z₀|/2 [px], f being the
+    focal length [px]; a uniform disc has a quarter of its squared radius as variance."""
+    radius = 0.5 * aperture_m * focal_px * (1.0 / depth_m - 1.0 / focus_m)
+    return 0.25 * radius * radius
+
+
+@inner_no_memory
+def depth_of(rig: CameraRig, view: int, position: Any) -> float:
+    """Depth [m] of a point (3,) before a view."""
+    depth = rig.translation[view, 2]
+    for b in range(3):
+        depth += rig.rotation[view, 2, b] * position[b]
+    return float(depth)
+
+
+@inner_no_memory
+def lens_blur_at(rig: CameraRig, view: int, position: Any, blur_px: float) -> float:
+    """Standard deviation [px] of the lens blur of a point (3,) in a view, with that of the lens in focus given."""
+    depth = depth_of(rig, view, position)
+    if rig.aperture[view] == 0.0 or depth <= LEAST_DEPTH_M:
+        return blur_px
+    return sqrt(blur_px**2 + defocus_variance(rig.aperture[view], rig.focus[view], rig.matrix[view, 0, 0], depth))
+
+
+@inner_no_memory
 def project_point(K: Any, dist: Any, x: float, y: float, z: float, J: Any) -> tuple[float, float]:
     """Pixel of a camera point and, in J (2, 3), its derivative [px/m]."""
     iz = 1.0 / z

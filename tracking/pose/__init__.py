@@ -25,8 +25,8 @@ from .manual_pose import ManualInitialisation as ManualInitialisation
 from .manual_pose import excluded_rows as excluded_rows
 from .manual_pose import manual_initial_pose as manual_initial_pose
 from .refine import Pose as Pose
+from .refine import bias_jacobians as bias_jacobians
 from .refine import blur_step as blur_step
-from .refine import contour_bias_jacobians as contour_bias_jacobians
 from .refine import covariances as covariances
 from .refine import pose_state as pose_state
 from .refine import refine_pose as refine_pose

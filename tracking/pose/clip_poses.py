@@ -23,7 +23,7 @@ from ..picture import (
 )
 from ..throw import ENOUGH_FRAMES
 from ..track import LOST, TRACKED, Track
-from .refine import Pose, contour_bias_jacobians, covariances
+from .refine import Pose, bias_jacobians, covariances
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -45,18 +45,18 @@ class ClipPoses:
     motion: Array
     """(n, 6) velocity [m/s] and angular velocity [rad/s] that the motion blur was computed with."""
     H: Array
-    """(n, 8, 8) normal equations of pose, contour error and blur, see `NormalEquations`."""
+    """(n, 9, 9) normal equations of pose, contour error, blur and response, see `NormalEquations`."""
     statistics: Array
     """(n, STATISTICS) counts of the kernels, see `ROBUST_COST` and those beside it."""
     cost: Array
     """(n,) pose cost, see `pose_costs`."""
-    contour_bias_jacobian: Array
-    """(n, 6) change of each pose per pixel of contour error, see `Track`; NaN where it follows from H."""
+    bias_jacobian: Array
+    """(n, 6, 2) change of each pose by contour error and response, see `bias_jacobians`; NaN where it follows from H."""
     frame_stride: int = 1
     """Rows that are multiples of this one represent all: where little moves, those between may have been left out."""
 
     _COLUMNS: ClassVar = (
-        "known", "position_m", "rotation", "motion", "H", "statistics", "cost", "contour_bias_jacobian",
+        "known", "position_m", "rotation", "motion", "H", "statistics", "cost", "bias_jacobian",
     )  # fmt: skip
 
     @staticmethod
@@ -64,7 +64,7 @@ class ClipPoses:
         """No poses on n frames."""
         return ClipPoses(
             np.zeros(n, bool), np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.zeros((n, 6)),
-            np.zeros((n, PARAMETERS, PARAMETERS)), np.zeros((n, STATISTICS)), np.full(n, np.inf), np.full((n, 6), np.nan),
+            np.zeros((n, PARAMETERS, PARAMETERS)), np.zeros((n, STATISTICS)), np.full(n, np.inf), np.full((n, 6, 2), np.nan),
         )  # fmt: skip
 
     @property
@@ -191,11 +191,14 @@ def as_track(view: View, source: FrameSource, poses: ClipPoses, use: Mask | None
     quaternion[known] = quat_from_matrix(poses.rotation[known])
     status = np.where(known, TRACKED, LOST).astype("<U7")
     frames = source.first_frame + np.arange(n)
-    jacobian = np.full((n, 6), np.nan)
-    jacobian[known] = contour_bias_jacobians(view, poses.H[known], poses.position_m[known])
-    jacobian = np.where(np.isfinite(poses.contour_bias_jacobian), poses.contour_bias_jacobian, jacobian)
-    times_s = exposure_times_s(view, source, poses)
-    return Track(frames, times_s, position, continuous_sign(quaternion), covariance, status, jacobian)
+    by_pixels = bias_jacobians(view, poses.H[known], poses.position_m[known])
+    kept = poses.bias_jacobian[known][:, :, : by_pixels.shape[2]]
+    jacobian = np.full((n, 6, by_pixels.shape[2]), np.nan)
+    jacobian[known] = np.where(np.isfinite(kept), kept, by_pixels)
+    return Track(
+        frames, exposure_times_s(view, source, poses), position, continuous_sign(quaternion), covariance, status, jacobian,
+        response_sigma=view.response_sigma,
+    )  # fmt: skip
 
 
 def exposure_times_s(view: View, source: FrameSource, poses: ClipPoses) -> Array:

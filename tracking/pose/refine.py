@@ -13,6 +13,7 @@ from ..picture import (
     CONTOUR_PX,
     LOG_NOISE,
     PIXELS,
+    RESPONSE,
     ROBUST_COST,
     Array,
     Image,
@@ -53,8 +54,8 @@ class Pose:
     information: Array
     """(6, 6) inverse covariance from the pixels of this frame alone: position [m], rotation vector [rad], world
     axes."""
-    contour_bias_jacobian: Array
-    """(6,) [m/px, rad/px] change of the pose for every pixel that the contour is drawn too far out."""
+    bias_jacobian: Array
+    """(6, k) change of the pose by errors that all frames share, see `bias_jacobians`."""
     unexplained: float
     """Mean truncated cost of an edge pixel, 0 to 1: the share that the edge model does not explain."""
     support: float
@@ -66,7 +67,7 @@ class Pose:
     cost: float
     """Pose cost, see `tracking.picture.pose_costs`; comparable between poses of one frame only."""
     H: Array
-    """(8, 8) normal equations of pose, contour error and blur."""
+    """(9, 9) normal equations of pose, contour error, blur and response."""
     statistics: Array
     """(STATISTICS,) counts of the kernels, see `ROBUST_COST` and those beside it."""
 
@@ -93,10 +94,12 @@ def covariances(information: Array) -> Array:
     return np.where(good[:, None, None], inverse, np.nan)
 
 
-def contour_bias_jacobians(view: View, H: Array, positions_m: Array) -> Array:
-    """(n, 6) [m/px, rad/px] change of each pose per pixel of contour error, from normal equations (n, 8, 8) at positions (n, 3);
-    zero if nothing was solved. The refinement's loose prior holds directions that the pixels leave open, and so their bias."""
-    return np.asarray(np.linalg.solve(H[:, :6, :6] + weak_priors(view, positions_m), H[:, :6, CONTOUR, None])[..., 0])
+def bias_jacobians(view: View, H: Array, positions_m: Array) -> Array:
+    """(n, 6, k) change of each pose [m, rad] by errors that all frames share, from normal equations (n, 9, 9) at positions
+    (n, 3): per pixel of contour error, and where the response is not known, per unit of its exponent. Zero if nothing was solved.
+    The refinement's loose prior holds directions that the pixels leave open, and so their bias."""
+    columns = [CONTOUR, RESPONSE] if view.response_sigma > 0.0 else [CONTOUR]
+    return np.asarray(np.linalg.solve(H[:, :6, :6] + weak_priors(view, positions_m), H[:, :6, columns]))
 
 
 def weak_priors(view: View, positions_m: Array) -> Array:
@@ -178,7 +181,7 @@ def _pose_from(view: View, position_m: Array, rotation: Array, cost: float, equa
         position_m.copy(),
         rotation.copy(),
         H[:6, :6].copy(),
-        contour_bias_jacobians(view, H[None], position_m[None])[0],
+        bias_jacobians(view, H[None], position_m[None])[0],
         unexplained=float(statistics[ROBUST_COST] / pixels),
         support=float(statistics[CLEAR_PX] / max(contour_px, 1e-9)),
         contour_px=float(contour_px),
@@ -193,7 +196,12 @@ def blur_step(view: View, image: Image, start: PoseState) -> tuple[float, float]
     """The Newton step of the lens blur [px] on one frame, with the pose eliminated, and its information [1/px²]; (0, 0)
     if there is none."""
     settings = view.settings._replace(
-        fine_steps=BLUR_STEPS, min_gain=CONVERGED_GAIN, min_step_px=0.0, with_blur=True, region_pixels=0
+        fine_steps=BLUR_STEPS,
+        min_gain=CONVERGED_GAIN,
+        min_step_px=0.0,
+        with_blur=True,
+        with_response=False,
+        region_pixels=0,
     )
     equations, prior = new_equations(), weak_prior(view, start.position)
     refine_and_score(
@@ -202,7 +210,7 @@ def blur_step(view: View, image: Image, start: PoseState) -> tuple[float, float]
     )  # fmt: skip
     H, g = equations.H, equations.g
     A = H[:6, :6] + prior
-    response = np.linalg.solve(A, np.stack([H[:6, BLUR], g[:6]], axis=1))
-    information = float(H[BLUR, BLUR] - H[:6, BLUR] @ response[:, 0])
-    right = float(g[BLUR] - H[:6, BLUR] @ response[:, 1])
+    moved = np.linalg.solve(A, np.stack([H[:6, BLUR], g[:6]], axis=1))
+    information = float(H[BLUR, BLUR] - H[:6, BLUR] @ moved[:, 0])
+    right = float(g[BLUR] - H[:6, BLUR] @ moved[:, 1])
     return (right / information, information) if information > 0.0 else (0.0, 0.0)

@@ -39,6 +39,7 @@ from ..picture import (
     compares_surface,
     crop_windows,
     keep_light,
+    lens_blur_at,
     new_equations,
     new_workspace,
     pose_cost,
@@ -204,10 +205,12 @@ def refine_and_score(
         H[:] = 0.0
         g[:] = 0.0
         statistics[:] = 0.0
-        sampling = EdgeSampling(blur, band, settings.with_blur and fine)
         pose = PoseState(p, Q, start.velocity, start.omega)
         for view in range(rig.camera.shape[0]):
             if rig.weight[view] > 0.0 and windows.size[rig.camera[view], 0] > 0:
+                lens = lens_blur_at(rig, view, p, blur)
+                wide = max(band, BAND_BLURS * lens) if rig.aperture[view] > 0.0 else band
+                sampling = EdgeSampling(lens, wide, settings.with_blur and fine, settings.with_response and fine)
                 if settings.whole_surface:
                     add_picture_equations(view, windows, model, pose, sampling, work, equations)
                 else:

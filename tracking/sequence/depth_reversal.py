@@ -39,6 +39,9 @@ WINDOW = 24
 """Frames of one motion."""
 REVERSAL_MISFIT = 0.15
 """Misfit by which the pose of a reversal may be worse: where a die shows one face, single frames hardly distinguish the two."""
+CLEAR_MISFIT = 0.3
+"""Misfit by which a reversal must be better to be accepted whatever its motion is. Where a die passes a view in which near and
+far draw the same, it may be followed as its reversal from there on."""
 MAX_CHI2_RATIO = 0.5
 """Chi-square of the reversal over that of the poses above which it is rejected. A die at rest, or one that an impact deflects,
 has a large chi-square in either pose."""
@@ -71,7 +74,8 @@ def _half_turn(view: View, position_m: Array) -> Array:
 
 def correct_depth_reversals(view: View, source: FrameSource, poses: ClipPoses, unused: Mask) -> ClipPoses:
     """The poses, with runs of frames replaced by their depth reversal where the poses lie on no motion of a die in flight and
-    those of the reversal do. Returns `poses` itself if nothing was replaced.
+    those of the reversal do, or where the reversal explains the pictures clearly better. Returns `poses` itself if nothing was
+    replaced.
 
     Films so fast that frames were skipped are not tested, nor clips of several cameras: a reversal for one is none for the
     others."""
@@ -86,9 +90,9 @@ def correct_depth_reversals(view: View, source: FrameSource, poses: ClipPoses, u
 
 def _corrected_once(view: View, source: FrameSource, poses: ClipPoses, unused: Mask) -> ClipPoses:
     """One round; the same poses if no run was replaced."""
-    known = np.flatnonzero(poses.known)
-    rows = known[np.unique(np.linspace(0, len(known) - 1, min(SAMPLED_FRAMES, len(known))).astype(int))]
-    suspicious = _reduced_chi2(as_track(view, source, poses), rows) > SUSPICIOUS_CHI2
+    costly = _costly(poses)
+    rows = np.union1d(_spread(np.flatnonzero(poses.known)), _spread(np.flatnonzero(costly)))
+    suspicious = costly[rows] | (_reduced_chi2(as_track(view, source, poses), rows) > SUSPICIOUS_CHI2)
     reversals = [
         _reversal(view, source, poses, int(k)) if is_suspicious else None
         for k, is_suspicious in zip(rows, suspicious, strict=True)
@@ -103,12 +107,34 @@ def _corrected_once(view: View, source: FrameSource, poses: ClipPoses, unused: M
         for i in np.unique(np.linspace(0, len(found) - 1, min(MAX_TRIALS, len(found))).astype(int)):
             k, pose = found[i]
             other = _tracked_from(view, source, pose, _reversed_rates(view, poses, k), k, limits, unused)
-            other_ratio = _chi2_ratio(view, source, poses, other, run)
+            other_ratio = (
+                -np.inf if _is_clearly_better(poses, other, run) else _chi2_ratio(view, source, poses, other, run)
+            )
             if other_ratio < ratio:
                 ratio, best = other_ratio, other
         if best is not poses:
             poses = _merged(view, poses, best, run, source.times_s)
     return poses
+
+
+def _costly(poses: ClipPoses) -> Mask:
+    """(n,) frames whose poses explain them clearly worse than half of the clip."""
+    usual = float(np.median(poses.cost_with_edge_noise[poses.known])) if poses.known.any() else np.inf
+    return np.asarray(poses.known & (poses.cost_with_edge_noise > usual + CLEAR_MISFIT))
+
+
+def _spread(rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """At most SAMPLED_FRAMES of some rows, evenly spread."""
+    return rows[np.unique(np.linspace(0, len(rows) - 1, min(SAMPLED_FRAMES, len(rows))).astype(int))]
+
+
+def _is_clearly_better(poses: ClipPoses, other: ClipPoses, run: slice) -> bool:
+    """Whether other poses are those of nearly all frames of a run and explain their pictures clearly better: its motion then need
+    not tell, which a few frames behind an impact hardly show."""
+    both = np.flatnonzero((poses.known & other.known)[run]) + run.start
+    covered = len(both) >= max(MIN_COVERAGE * poses.known[run].sum(), MIN_IN_A_ROW)
+    gain = poses.cost_with_edge_noise[both] - other.cost_with_edge_noise[both]
+    return bool(covered and float(np.median(gain)) > CLEAR_MISFIT)
 
 
 def _runs(has_reversal: Mask) -> list[tuple[int, int]]:

@@ -18,7 +18,7 @@ from ...model.throw import Flight, Throw
 from ..flights import transition_matrix
 from ..footage import Frames, FrameSource, Rows
 from ..picture import View
-from ..pose import ClipPoses, as_track, contour_bias_jacobians, wholly_in_view
+from ..pose import ClipPoses, as_track, bias_jacobians, wholly_in_view
 from ..surface_marks import (
     CHI2_MEDIAN,
     FramePoses,
@@ -38,6 +38,7 @@ from ..throw import (
     flights_only,
     frames_in_flight,
     measure,
+    placement_covariances,
     shared_bias_jacobian,
     without_shared_bias,
 )
@@ -128,10 +129,12 @@ def refine_on_marks(
     _refine_rows(source, rows, frames, report if every == 1 else lambda done: report((len(source) + done) // 2))
     out, shared = ClipPoses.empty(len(source)), np.full((len(source), 6, 6), np.nan)
     out.take(np.arange(len(source)), poses)
-    shared[rows] = frames.shared_covariance
+    placement = placement_covariances(on_edges, view.camera, view.die, rows)
+    shared[rows] = frames.shared_covariance + placement[rows]
     for put, refined in ((rows, frames.poses()), (supported, _frame_poses(view, on_edges, poses, supported))):
         out.position_m[put], out.rotation[put] = refined.position_m, refined.rotation
-        out.contour_bias_jacobian[put], out.H[put, :6, :6] = refined.contour_bias_jacobian, refined.information
+        out.bias_jacobian[put, :, : refined.bias_jacobian.shape[2]] = refined.bias_jacobian
+        out.H[put, :6, :6] = refined.information
     return MarkRefinement(out, marks, shared)
 
 
@@ -167,7 +170,7 @@ def _frame_poses(view: View, edges: Track, poses: ClipPoses, rows: Rows) -> Fram
     return FramePoses(
         edges.position_m[rows], matrix_from_quat(edges.quaternion[rows]),
         np.linalg.inv(edges.covariance[rows]).astype(np.float64),
-        contour_bias_jacobians(view, poses.H[rows], poses.position_m[rows]),
+        bias_jacobians(view, poses.H[rows], poses.position_m[rows]),
     )  # fmt: skip
 
 

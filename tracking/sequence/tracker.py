@@ -31,12 +31,21 @@ from ..clip_parameters import (
     EstimatedResponse,
     empty_scene,
     estimate_clock_offsets,
-    estimate_lens_blur,
+    estimate_lens,
     estimate_response,
     with_light,
 )
 from ..footage import Clip, FrameSource, clip_in_light, estimate_background, level_grey, picture_in_light
-from ..picture import PixelNoise, View, make_view, pixel_noise, share_in_view, with_corner_radius, with_reflections
+from ..picture import (
+    PixelNoise,
+    View,
+    make_view,
+    pixel_noise,
+    share_in_view,
+    with_corner_radius,
+    with_lens,
+    with_reflections,
+)
 from ..pose import ClipPoses, ManualInitialisation, as_track, excluded_rows, exposure_times_s, wholly_in_view
 from ..quality import STANDARD, Quality
 from ..surface_marks import SurfaceMarks
@@ -79,8 +88,8 @@ class ClipFacts:
     """Time from the exposure of the first row to that of the last, of every camera; 0 for a global shutter."""
     estimates_response: bool = False
     """Whether the response of the cameras is not known, and is estimated."""
-    contour_sigma_px: float = 0.0
-    """Standard deviation of the contour that what was estimated before leaves."""
+    response_sigma: float = 0.0
+    """Standard deviation of the exponent of a response that was estimated before."""
 
 
 NO_FACTS = ClipFacts()
@@ -142,12 +151,14 @@ def track_clip(
             for picture, one in zip(given, clips, strict=True)
         ]
         known = replace(
-            facts, estimates_response=False, contour_sigma_px=response.contour_sigma_px,
+            facts, estimates_response=False, response_sigma=response.sigma,
             level_grey=facts.level_grey * level_grey(clips[0], response.exponent),
         )  # fmt: skip
         light = [clip_in_light(one, response.exponent) for one in clips]
         found = track_clip(light, cameras, die, background=pictures, facts=known, quality=quality, progress=progress)
         return replace(found, response=response)
+    if response is not None:
+        view = replace(view, response_sigma=response.sigma)
     throw = _measured(view, source, poses)
     if throw is not None and any(impact.contact == "unresolved" for impact in throw.impacts):
         poses = with_consistent_labels(view, poses, throw, exposure_times_s(view, source, poses))
@@ -159,16 +170,11 @@ def track_clip(
         view, offsets, result = _refined(view, source, poses, throw, ~unused, report)
     else:
         offsets, result = ClockOffsets.none(len(clips)), MarkRefinement(poses, None, None)
-    left_px = facts.contour_sigma_px if response is None else response.contour_sigma_px
-    track = replace(
-        _track(source, view, result.poses, throw),
-        shared_covariance=result.shared_covariance,
-        contour_sigma_px=left_px,
-    )
+    track = replace(_track(source, view, result.poses, throw), shared_covariance=result.shared_covariance)
     if corners is not None:
         corners, sigma_px = radius_in_flight(view, source, track, corners)
         view = with_corner_radius(view, corners.radius_m)
-        track = replace(track, contour_sigma_px=float(np.hypot(sigma_px, left_px)))
+        track = replace(track, contour_sigma_px=sigma_px)
     calibrated = with_calibrated_covariance(track, view.die, view.camera, every=decimation_factor(track, view.die))
     if view.readout_s != 0.0:
         calibrated = _at_frame_times(view, source, calibrated, throw)
@@ -206,10 +212,12 @@ def _view_of(
     noise = PixelNoise(
         max(each.noise_grey for each in noises), max(each.rounding_grey for each in noises), facts.level_grey
     )
-    return make_view(
+    view = make_view(
         cameras, die, pictures, noise, facts.exposure_s, INITIAL_BLUR_PX, mirror=facts.mirror, quality=quality,
         readout_s=facts.readout_s,
     )  # fmt: skip
+    saturation_grey = float(2 ** min(clip.bit_depth for clip in clips) - 1)
+    return replace(view, response_sigma=facts.response_sigma, saturation_grey=saturation_grey)
 
 
 def _check_sizes(clip: Clip, camera: Camera, background: Background | None) -> None:
@@ -262,7 +270,7 @@ def _refined(
     if not view.shows_surface(np.median(poses.position_m[poses.known], axis=0)):
         # Whole surfaces show the light by themselves, on bevels that bear no marks.
         view = with_light(view, source.frame, poses)
-    view = replace(view, blur_px=estimate_lens_blur(view, poses.sample(source.frame, poses.known, BLUR_FRAMES)))
+    view = with_lens(view, estimate_lens(view, poses.sample(source.frame, poses.known, BLUR_FRAMES)))
     count, offsets = len(source), ClockOffsets.none(len(source.clips))
     report.at_least(count)
     # With a rolling shutter the cameras see the die at instants of their own, which are no offset of their clocks.

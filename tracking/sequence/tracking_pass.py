@@ -19,7 +19,8 @@ from ..clip_parameters import (
     CornerRadius,
     CornerRounding,
     contour_sigma_px,
-    estimate_lens_blur,
+    depth_of_field,
+    estimate_lens,
     gain_over_sharp,
     is_rounded,
     radius_by_free_poses,
@@ -27,7 +28,7 @@ from ..clip_parameters import (
     sample_in_flight,
 )
 from ..footage import FrameSource
-from ..picture import View, share_in_view, with_corner_radius
+from ..picture import View, share_in_view, with_corner_radius, with_lens
 from ..pose import ClipPoses, ManualInitialisation, as_track, same_picture, wholly_in_view
 from ..throw import NoFlightError, measure
 from ..track import Track
@@ -41,11 +42,11 @@ Mask = NDArray[np.bool_]
 LEAST_RESUMED_FRAMES = FULL_STAGE
 """Frames without a pose that explains them from which on an initial pose is looked for among them: as many as show whether one
 is right."""
-UNEXPLAINED_RATIO = 1.6
+UNEXPLAINED_RATIO = 1.25
 """Cost over the median of the clip from which poses do not explain their pictures, if it lies UNEXPLAINED_EXCESS_COST above as
 well: a median over LEAST_RESUMED_FRAMES frames, of which those beside an impact may be a few. Right poses of 39 random clips came
-to 1.5 at the most; wrong ones that were followed to the end of one of these clips rose to 3."""
-UNEXPLAINED_EXCESS_COST = 1.0
+to 1.5 at the most, and are found again in vain; wrong ones that follow two impacts within frames to 1.3, others to 3."""
+UNEXPLAINED_EXCESS_COST = 0.5
 """Excess over that median; tracking itself measures costs from those of the frames before, and follows a wrong pose as these
 grow."""
 SMALLER_COST = 0.1
@@ -117,8 +118,17 @@ def track_rounded(
 
 
 def track_once(view: View, task: TrackingTask) -> tuple[View, ClipPoses]:
-    """The poses of one pass, and the view with the lens blur estimated at its beginning. Raises NoDieError where no die was
-    found."""
+    """The poses of one pass, and the view with the lens blur estimated at its beginning; of a second pass if the first shows a
+    depth of field. Raises NoDieError where no die was found."""
+    tracked_view, poses = _track_once(view, task)
+    lens = depth_of_field(
+        tracked_view, poses.sample(task.source.frame, wholly_in_view(tracked_view, poses), BLUR_FRAMES)
+    )
+    return (tracked_view, poses) if lens is None else _track_once(with_lens(view, lens), task)
+
+
+def _track_once(view: View, task: TrackingTask) -> tuple[View, ClipPoses]:
+    """One pass."""
     source = task.source
     found = (
         find_initial_pose(view, source, task.unused, task.report)
@@ -130,8 +140,8 @@ def track_once(view: View, task: TrackingTask) -> tuple[View, ClipPoses]:
             f"no die was found in {len(source)} frames: look at the clip, the background and the [die] shape and edge"
         )
     tracker, poses = found
-    view = replace(view, blur_px=estimate_lens_blur(view, poses.sample(source.frame, poses.known, BLUR_FRAMES)))
-    tracker.view = replace(tracker.view, blur_px=view.blur_px)
+    lens = estimate_lens(view, poses.sample(source.frame, poses.known, BLUR_FRAMES))
+    tracker.view = with_lens(tracker.view, lens)
     _track_both_ways(tracker, task, poses)
     # The tracker's view contains the occluders that it found.
     poses = _resumed(tracker.view, task, poses)

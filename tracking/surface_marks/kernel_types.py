@@ -101,7 +101,10 @@ class Optics(NamedTuple):
     exposure: float
     """[s]"""
     blur: float
-    """Standard deviation of the lens blur [px]."""
+    """Standard deviation of the lens blur [px], where it is in focus."""
+    aperture: float
+    """[m] and depth [m] of focus, see `CameraRig`."""
+    focus: float
     row_s: float
     """[s] from the exposure of one row to that of the next; 0 for a global shutter."""
 

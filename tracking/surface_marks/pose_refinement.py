@@ -55,8 +55,8 @@ class FramePoses:
     information: Array
     """(n, 6, 6) inverse covariance from the pixels of each frame alone. With marks, the edges' common error in a
     flight enters multiplied by the number of its frames, so that all frames together contain it once."""
-    contour_bias_jacobian: Array
-    """(n, 6) [m/px, rad/px] derivative of each pose by a displacement of the contour outwards."""
+    bias_jacobian: Array
+    """(n, 6, k) derivative of each pose by errors that all frames share, see `Track`."""
 
 
 class FrameRefinement:
@@ -125,11 +125,9 @@ class FrameRefinement:
         rotation = np.where(unseen[:, None, None], self._edges.rotation, rows.rotation)
         information = rows.mark_information + rows.edge_information
         # Marks do not depend on the contour: the pose inherits its error by the edges' share of the information.
-        share = np.einsum("nij,nj->ni", rows.edge_information, self._edges.contour_bias_jacobian)
-        contour_bias_jacobian = np.linalg.solve(information + weak_priors(self._view, position), share[..., None])[
-            ..., 0
-        ]
-        return FramePoses(position, rotation, information, contour_bias_jacobian)
+        share = rows.edge_information @ self._edges.bias_jacobian
+        bias_jacobian = np.linalg.solve(information + weak_priors(self._view, position), share)
+        return FramePoses(position, rotation, information, bias_jacobian)
 
 
 def edge_information(view: View, marks: SurfaceMarks, edges: FramePoses, sharing: NDArray[Any]) -> Array:

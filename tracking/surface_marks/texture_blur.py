@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...model.compiled import inner_fast_sums_no_memory, inner_no_memory, inner_nogil
+from ..picture import defocus_variance
 from .kernel_types import STENCIL_BLUR_TEXEL2, ZERO, Optics
 
 
@@ -68,7 +69,7 @@ def blur_on_face(
     optics: Optics, E: Any, origin: Any, offset: float, velocity: Any, omega: Any, lens: Any, motion: Any
 ) -> None:
     """Fill the blur of a face in face coordinates, as variances aa, ab, bb: `lens` (3,) [m²] for a lens blur of one
-    pixel, and `motion` (3,) [m²].
+    pixel, and `motion` (3,) [m²] for motion and defocus.
 
     The lens blurs equally in all directions of the picture, so on the face it blurs most along the foreshortened
     direction. Motion during the exposure is a uniform distribution: its variance is the squared length of the path
@@ -95,6 +96,10 @@ def blur_on_face(
         ma = exposure * (E[0, 0] * (slip * x - q[0]) + E[0, 1] * (slip * y - q[1]) + E[0, 2] * (slip - q[2]))
         mb = exposure * (E[1, 0] * (slip * x - q[0]) + E[1, 1] * (slip * y - q[1]) + E[1, 2] * (slip - q[2]))
         motion[0], motion[1], motion[2] = ma * ma / 12.0, ma * mb / 12.0, mb * mb / 12.0
+    if optics.aperture > 0.0:
+        defocus = defocus_variance(optics.aperture, optics.focus, K[0, 0], origin[2])
+        for k in range(3):
+            motion[k] += defocus * lens[k]
 
 
 @inner_no_memory

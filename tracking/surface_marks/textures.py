@@ -350,7 +350,7 @@ def optics_of(view: View, marks: SurfaceMarks) -> Optics:
     camera = view.camera
     return Optics(
         marks.rays, camera.matrix, camera.distortion, camera.rotation, camera.translation_m, float(view.exposure_s),
-        float(view.blur_px), float(view.rig.row_s[0]),
+        view.lens.blur_px, view.lens.aperture_m, view.lens.focus_m, float(view.rig.row_s[0]),
     )  # fmt: skip
 
 

@@ -31,5 +31,6 @@ from .shared_bias import CONTOUR_SHARE as CONTOUR_SHARE
 from .shared_bias import CONTOUR_SIGMA_PX as CONTOUR_SIGMA_PX
 from .shared_bias import LATERAL_SHARE as LATERAL_SHARE
 from .shared_bias import outline_growth as outline_growth
+from .shared_bias import placement_covariances as placement_covariances
 from .shared_bias import shared_bias_jacobian as shared_bias_jacobian
 from .shared_bias import without_shared_bias as without_shared_bias

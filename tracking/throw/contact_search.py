@@ -162,7 +162,7 @@ class _Sequence:
         starts = [*self.starts[: self.settled], *(flight.start for flight in chain.flights)]
         links = [*self.links[: self.settled], *chain.links]
         last = self.search.observations.rows(slice(end - 1, end))
-        bias = last.bias_jacobian[0, 2] @ self.search.priors.shared_sigma
+        bias = float(np.linalg.norm(last.bias_jacobian[0, 2] * self.search.priors.shared_sigma))
         slope = pose_jacobian(chain.flights[-1], last.time_s)[0, 2]
         height_sigma_m = float(np.hypot(bias, np.sqrt(max(slope @ chain.flights[-1].covariance @ slope, 0.0))))
         settled = max(len(starts) - 2, 0)

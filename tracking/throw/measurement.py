@@ -36,7 +36,13 @@ from .contacts import (
 )
 from .flight_segmentation import MIN_FRAMES, TABLE_REACH, decimation_factor, rows_without_outliers, segment_flights
 from .rest import SupportedMotion, first_low_row, first_supported_row, on_table, resting_vertices
-from .shared_bias import shared_bias_jacobian, shared_bias_sigma, undetermined_bias_sigma, without_shared_bias
+from .shared_bias import (
+    determined_count,
+    shared_bias_jacobian,
+    shared_bias_sigma,
+    undetermined_bias_sigma,
+    without_shared_bias,
+)
 from .smoothing import smooth
 
 Array = NDArray[np.float64]
@@ -169,7 +175,8 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
     if camera is not None:
         bias_jacobian = shared_bias_jacobian(track, camera, die)
         sigma, undetermined = shared_bias_sigma(track, camera, die), undetermined_bias_sigma(track, camera, die)
-        observations, prior = observations.with_bias_jacobian(bias_jacobian[use, :, :1]), sigma[:1]
+        count = determined_count(track)
+        observations, prior = observations.with_bias_jacobian(bias_jacobian[use, :, :count]), sigma[:count]
     # The test for free fall uses calibrated covariances if there are any: unlike the fits, it estimates no error model.
     stated = (
         observations
@@ -181,8 +188,9 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
     priors = Priors(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M)
     chain, impacts, flying = _flights_and_impacts(track, observations, use, flying, die, priors)
     flights = chain.flights
-    # The contour of a supported die lies amid its shadow: flights do not determine its error.
-    left = np.where((np.arange(len(use)) < flying)[:, None], undetermined, sigma)
+    # The contour of a supported die lies amid its shadow: flights do not determine its error. Nor does one flight by itself.
+    is_determined = (np.arange(len(use)) < flying) & (len(chain.shared) > 0)
+    left = np.where(is_determined[:, None], undetermined, sigma)
     shared_covariance = _shared_covariance(track, bias_jacobian, left, use, flying)
     # A chain none of whose flights is believed knows nothing of the errors that frames share.
     in_flight = use[:flying]

@@ -11,7 +11,12 @@ across the picture and rotated. A single frame cannot distinguish these six erro
 reduce them. The flight determines the first: a die falls with g in metres, and touches the table at height zero. The other five
 remain undetermined and enter every covariance.
 
-The six columns of a bias Jacobian are, in this order: contour out; die right and down; die rotated about the camera's three axes.
+If the response of the camera is not known, there is a seventh: blur mixes light and not grey levels, so that a curve moves every
+edge towards its darker side. What that does to a pose changes as the die turns, and the flights determine the exponent with the
+first.
+
+The columns of a bias Jacobian are, in this order: contour out; exponent of the response, if it is not known; die right and
+down; die rotated about the camera's three axes. Those before the last five are estimated with the flights.
 """
 
 from __future__ import annotations
@@ -28,8 +33,8 @@ from ..track import Track
 
 Array = NDArray[np.float64]
 
-SHARED_ERRORS = 6
-"""Number of shared errors: one of the contour, two of translation, three of rotation."""
+UNDETERMINED = 5
+"""Number of shared errors that flights do not determine: two of translation, three of rotation."""
 CONTOUR_SIGMA_PX = 0.05
 """Prior standard deviation [px] of δ for a sharp die: the blur, and with it the contour, is known to a few hundredths of a
 pixel."""
@@ -53,44 +58,72 @@ A bevel is seen about 1.4 r wide, and the light determines where on it an edge a
 rotates, so that little of it remains in a flight. With the light unknown, nine plain dice rounded by 1 to 4 px had a median NEES
 of 0.7 to 5.2 (expected: 5.35); with a share of 0.1 seven of them had 0.1 to 1.0. With the light estimated (`light`), twelve dice
 have 0.2 to 2.3: half the share would suffice there."""
+RESPONSE_UNDETERMINED = 0.03
+"""Standard deviation of the part of the exponent of a response that flights do not determine: curves of cameras are no powers."""
 ROTATION_SHARE = 0.75
 """Rotation error at the outline over lateral error: several edges on both sides of the axis contribute to a rotation."""
 
 
 def shared_bias_jacobian(track: Track, camera: Camera, die: Die) -> Array:
-    """(n, 6, SHARED_ERRORS) change of each frame's pose, world axes, in [m/px] and [rad/px] of each shared error.
+    """(n, 6, m) change of each frame's pose [m, rad], world axes, by each shared error [px, or exponent].
 
-    The first column is the track's `contour_bias_jacobian` where it has one. Rows without a pose are NaN.
+    The first columns are the track's `bias_jacobian` where it has one. Rows without a pose are NaN.
     """
-    jacobian = np.full((len(track), 6, SHARED_ERRORS), np.nan)
-    tracked = track.tracked
+    tracked, k = track.tracked, determined_count(track)
+    jacobian = np.full((len(track), 6, k + UNDETERMINED), np.nan)
     sight = track.position_m[tracked] - camera.centre_m
     depth = sight @ camera.rotation[2]
     growth = outline_growth(camera, die, track.position_m[tracked], matrix_from_quat(track.quaternion[tracked]))
-    new = np.zeros((len(sight), 6, SHARED_ERRORS))
+    new = np.zeros((len(sight), 6, k + UNDETERMINED))
     new[:, :3, 0] = -sight * growth[:, None]
-    new[:, :3, 1] = camera.rotation[0] * (depth / camera.matrix[0, 0])[:, None]
-    new[:, :3, 2] = camera.rotation[1] * (depth / camera.matrix[1, 1])[:, None]
-    new[:, 3:, 3:] = camera.rotation.T * growth[:, None, None]
-    if track.contour_bias_jacobian is not None:
-        measured = np.isfinite(track.contour_bias_jacobian[tracked]).all(1)
-        new[measured, :, 0] = track.contour_bias_jacobian[tracked][measured]
+    new[:, :3, k] = camera.rotation[0] * (depth / camera.matrix[0, 0])[:, None]
+    new[:, :3, k + 1] = camera.rotation[1] * (depth / camera.matrix[1, 1])[:, None]
+    new[:, 3:, k + 2 :] = camera.rotation.T * growth[:, None, None]
+    if track.bias_jacobian is not None:
+        measured = np.isfinite(track.bias_jacobian[tracked]).all(axis=(1, 2))
+        new[measured, :, :k] = track.bias_jacobian[tracked][measured]
     jacobian[tracked] = new
     return jacobian
 
 
+def determined_count(track: Track) -> int:
+    """Number of shared errors that flights determine: that of the contour, and that of a response that is not known."""
+    return 1 if track.bias_jacobian is None else int(track.bias_jacobian.shape[2])
+
+
 def shared_bias_sigma(track: Track, camera: Camera, die: Die) -> Array:
-    """(SHARED_ERRORS,) prior standard deviations [px] of the shared errors."""
+    """(m,) prior standard deviations [px, or exponent] of the shared errors."""
     radius_px = _radius_px(track, camera, die)
     contour = np.sqrt(CONTOUR_SIGMA_PX**2 + (CONTOUR_SHARE * radius_px) ** 2 + track.contour_sigma_px**2)
     lateral = np.hypot(LATERAL_SIGMA_PX, LATERAL_SHARE * radius_px)
-    return np.array([contour, lateral, lateral, *[ROTATION_SHARE * lateral] * 3])
+    response = [track.response_sigma] * (determined_count(track) - 1)
+    return np.array([contour, *response, lateral, lateral, *[ROTATION_SHARE * lateral] * 3])
 
 
 def undetermined_bias_sigma(track: Track, camera: Camera, die: Die) -> Array:
-    """(SHARED_ERRORS,) standard deviations [px] of the part of the shared errors that a throw in flight does not determine."""
+    """(m,) standard deviations [px, or exponent] of the part of the shared errors that a throw in flight does not determine."""
     contour = np.hypot(CONTOUR_UNDETERMINED_PX, CONTOUR_UNDETERMINED_SHARE * _radius_px(track, camera, die))
-    return np.append(contour, shared_bias_sigma(track, camera, die)[1:])
+    response = [min(RESPONSE_UNDETERMINED, track.response_sigma)] * (determined_count(track) - 1)
+    return np.array([contour, *response, *shared_bias_sigma(track, camera, die)[-UNDETERMINED:]])
+
+
+def placement_covariances(track: Track, camera: Camera, die: Die, learned: NDArray[np.int64]) -> Array:
+    """(n, 6, 6) covariance that poses on surface marks share because edges told where the marks are: NaN without a pose.
+
+    The bias of the edges has fixed axes before the camera, and the marks turn with the die: their place in body axes has the mean
+    of that bias over the rows `learned`, and a pose has it as the die lies then. Little is left after a whole turn. A bias along
+    the line of sight only scales the marks, and the flights determine it."""
+    bias, sigma = shared_bias_jacobian(track, camera, die), undetermined_bias_sigma(track, camera, die)
+    sight = track.position_m - camera.centre_m
+    sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+    bias[:, :3] -= sight[:, :, None] * np.einsum("ni,nij->nj", sight, bias[:, :3])[:, None]
+    covariance, use = np.full((len(track), 6, 6), np.nan), np.flatnonzero(track.tracked)
+    body = np.zeros((len(track), 6, 6))
+    body[use, :3, :3] = body[use, 3:, 3:] = matrix_from_quat(track.quaternion[use])
+    in_body = (np.swapaxes(body[learned], 1, 2) @ bias[learned]).mean(axis=0)
+    moved = body[use] @ (in_body * sigma)
+    covariance[use] = moved @ np.swapaxes(moved, 1, 2)
+    return covariance
 
 
 def _radius_px(track: Track, camera: Camera, die: Die) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from replay_records import ArrayClip
 from rounded_dice import photograph_rounded
 
 from diethrow.model.die import Die
-from diethrow.model.rotations import matrix_from_quat, quat_from_rotvec
+from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotation_between
 from diethrow.model.throw import State
 from diethrow.tracking.clip_parameters.response import (
     FEWEST_FRAMES,
@@ -25,6 +26,7 @@ from diethrow.tracking.clip_parameters.response import (
 from diethrow.tracking.footage.response import Response, grey_of
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.clip_poses import SampledFrames
+from diethrow.tracking.pose.refine import pose_state, refine_pose
 
 Array = NDArray[np.float64]
 
@@ -53,11 +55,13 @@ def light(name: str, count: int = FRAMES) -> Array:
     return np.asarray(shots, float)
 
 
-def found(name: str, response: Response, count: int = FRAMES, off_m: float = 0.0) -> EstimatedResponse | None:
+def found(
+    name: str, response: Response, count: int = FRAMES, off_m: float = 0.0, of_clip: type[ArrayClip] = ArrayClip
+) -> EstimatedResponse | None:
     """The response of a clip of resting dice, from poses that are off by some distance and a tenth of a degree."""
     grey = 255.0 * grey_of(np.clip(light(name, count) / 255.0, 0.0, 1.0), response)
     pictures = np.rint(grey).astype(np.uint8)
-    clip = ArrayClip(pictures, np.arange(count) / 1000.0)
+    clip = of_clip(pictures, np.arange(count) / 1000.0)
     table = np.rint(255.0 * grey_of(ROOM.table / 255.0, response)).astype(np.float32)
     view: View = replace(ROOM, table=table).view(die_of(name))
     rng = np.random.default_rng(5)
@@ -95,6 +99,42 @@ def test_the_srgb_curve_is_about_that_of_its_best_exponent() -> None:
     response = found("cube", "srgb")
     assert response is not None
     assert 0.4 < response.exponent < 0.6
+
+
+@pytest.mark.parametrize("name", ["cube", "icosahedron", "well rounded"])
+def test_the_column_of_the_response_is_what_a_curve_does_to_a_pose(name: str) -> None:
+    """A slight curve of the grey levels moves the pose as its bias Jacobian says."""
+    step, moved, expected = 0.05, [], []
+    room = replace(ROOM, noise_grey=0.5)
+    view = replace(room.view(die_of(name)), response_sigma=UNKNOWN_SIGMA)
+    for state in states(6):
+        shoot = photograph_rounded if name == "well rounded" else photograph
+        linear = np.asarray(shoot(room, die_of(name), state), np.float32)
+        poses = []
+        for exponent in (1.0, 1.0 - step):
+            picture, table = (np.asarray(255.0 * (one / 255.0) ** exponent, np.float32) for one in (linear, room.table))
+            curved = replace(view, backgrounds=np.ascontiguousarray(table[None]))
+            start = pose_state(state.position_m, matrix_from_quat(state.quaternion))
+            poses.append(refine_pose(curved, picture, start, coarse=0))
+        first, other = poses
+        turn = rotation_between(quat_from_matrix(first.rotation), quat_from_matrix(other.rotation))
+        change = np.concatenate([other.position_m - first.position_m, turn])
+        # In standard errors of the picture, in which all six count alike.
+        root = np.linalg.cholesky(first.information).T
+        moved.append(root @ change)
+        expected.append(root @ first.bias_jacobian[:, 1] * -step)
+    moved, expected = np.concatenate(moved), np.concatenate(expected)
+    assert np.linalg.norm(moved - expected) < 0.5 * np.linalg.norm(moved)
+
+
+def test_a_lossy_codec_leaves_a_linear_response_unknown() -> None:
+    class Compressed(ArrayClip):
+        def metadata(self) -> dict[str, Any]:
+            return super().metadata() | {"codec": "h264"}
+
+    response = found("cube", "linear", of_clip=Compressed)
+    assert response is not None
+    assert response == EstimatedResponse(1.0, UNKNOWN_SIGMA)
 
 
 def test_too_few_frames_say_nothing() -> None:

@@ -140,3 +140,20 @@ def test_residuals_that_are_alike_beside_each_other_count_for_fewer() -> None:
         assert pose.covariance is not None
         sigma.append(np.sqrt(np.trace(pose.covariance[3:, 3:])))
     assert sigma[1] > 1.8 * sigma[0]
+
+
+def test_saturated_faces_do_not_move_the_contour() -> None:
+    """Of a face twice as bright as full scale a clipped contour lies further out; a pixel at full scale is at least as bright."""
+    full_grey, setting = 150.0, replace(studio(), noise_grey=1.0)
+    die, off_mm = replace(DICE["cube"], corner_radius_m=1.6e-3), []
+    plain = setting.view(die)
+    for seed in range(6):
+        rng = np.random.default_rng([19, seed])
+        state = State(0.0, np.array([0.0, 0.0, 0.02]), random_quaternion(rng), np.zeros(3), np.zeros(3))
+        picture = photograph_rounded(setting, die, state, rng, paint=np.array([1.0, 1.6, 1.0, 1.6, 1.0, 1.6]))
+        shown = np.minimum(picture, np.float32(full_grey))
+        views = (plain, replace(plain, saturation_grey=full_grey))
+        poses = [refine_pose(view, shown, pose_state(state.position_m, state.rotation), coarse=0) for view in views]
+        off_mm.append([1e3 * np.linalg.norm(pose.position_m - state.position_m) for pose in poses])
+    believed, censored = np.median(off_mm, axis=0)
+    assert censored < 0.6 * believed

@@ -116,7 +116,7 @@ class Scene(NamedTuple):
     @property
     def sampling(self) -> EdgeSampling:
         """At the lens blur."""
-        return EdgeSampling(self.view.blur_px, max(4.0 * self.view.blur_px, 3.5), False)
+        return EdgeSampling(self.view.blur_px, max(4.0 * self.view.blur_px, 3.5), False, False)
 
 
 def scene(radius_m: float, seed: int) -> Scene:
@@ -203,7 +203,7 @@ def test_a_moving_die_is_the_mean_of_still_ones() -> None:
 def test_a_coarse_picture_is_blurred_as_a_fine_one() -> None:
     """Along rows and then along columns, and at once where the lens blurs as much."""
     made, blur_px = scene(1.6e-3, 5), 1.5
-    sampling = EdgeSampling(blur_px, 6.0, False)
+    sampling = EdgeSampling(blur_px, 6.0, False, False)
     coarse, fine = (
         Drawn(np.zeros((2 * HALF_PX,) * 2), np.zeros((2 * HALF_PX, 2 * HALF_PX, 6)), np.zeros((2 * HALF_PX,) * 2))
         for _ in range(2)

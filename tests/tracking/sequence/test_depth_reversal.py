@@ -122,6 +122,18 @@ def test_poses_of_the_reversal_are_replaced_by_those_of_the_die(seed: int) -> No
     assert share_right(view, correct_depth_reversals(view, source, wrong, NONE_UNUSED), flight, source.times_s) > 0.95
 
 
+def test_a_few_frames_of_a_reversal_are_replaced_where_the_pictures_show_it() -> None:
+    """A cube that was followed as its reversal for the last seven frames: too few to tell by their motion."""
+    room, die, last = replace(studio(), noise_grey=1.0), DICE["cube"], slice(FRAMES - 7, FRAMES)
+    spin, turned = np.array([9.0, -6.0, 4.0]), quat_from_rotvec(np.array([0.4, 0.5, 0.2]))
+    flight = Flight(State(0.0, np.array([0.0, 0.0, 0.03]), turned, np.array([0.1, 0.0, -0.3]), spin), np.inf)
+    view, source = room.view(die), FrameSource([film(room, die, flight, FRAMES)])
+    poses, other = (seen_at(view, source, flight, reverse=reverse) for reverse in (False, True))
+    poses.take(np.arange(FRAMES)[last], other)
+    assert share_right(view, poses, flight, source.times_s) < 0.95
+    assert share_right(view, correct_depth_reversals(view, source, poses, NONE_UNUSED), flight, source.times_s) == 1.0
+
+
 @dataclass(frozen=True)
 class Resting:
     """A die that lies still."""

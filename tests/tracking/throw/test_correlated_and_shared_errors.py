@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from throws import FPS, blurred_in_time, random_release, seen, true_throw, weighted_poses
 
 from diethrow.model.die.die import make_die
-from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
+from diethrow.model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.tracking.check.gravity import fall_notices, measure_fall
 from diethrow.tracking.flights.error_model import estimate_error_model
@@ -27,7 +27,12 @@ from diethrow.tracking.flights.single_flights import (
     perturbed,
 )
 from diethrow.tracking.throw.measurement import measure, with_calibrated_covariance
-from diethrow.tracking.throw.shared_bias import CONTOUR_SIGMA_PX, shared_bias_jacobian, shared_bias_sigma
+from diethrow.tracking.throw.shared_bias import (
+    CONTOUR_SIGMA_PX,
+    placement_covariances,
+    shared_bias_jacobian,
+    shared_bias_sigma,
+)
 from diethrow.tracking.throw.smoothing import smooth
 from diethrow.tracking.track import LOST, Track
 
@@ -251,9 +256,52 @@ def test_the_bias_jacobian_is_the_effect_of_a_larger_outline_on_a_pose() -> None
 def test_the_bias_jacobian_of_the_track_takes_precedence() -> None:
     throw, rng = lone(1)
     track = seen(throw, rng)
-    own = np.tile(np.arange(6.0), (len(track), 1))
-    jacobian = shared_bias_jacobian(replace(track, contour_bias_jacobian=own), studio().camera, CUBE)
-    np.testing.assert_array_equal(jacobian[:, :, 0], own)
+    own = np.tile(np.arange(12.0).reshape(6, 2), (len(track), 1, 1))
+    jacobian = shared_bias_jacobian(replace(track, bias_jacobian=own), studio().camera, CUBE)
+    np.testing.assert_array_equal(jacobian[:, :, :2], own)
+
+
+def with_unknown_response(exponent_off: float, seed: int = 2) -> tuple[Throw, Track]:
+    """A throw whose poses a response of unknown exponent moves: along the line of sight, and about an axis that turns with the
+    die."""
+    throw, rng = lone(seed)
+    track = seen(throw, rng, noise=0.3)
+    axes = matrix_from_quat(track.quaternion)
+    contour = shared_bias_jacobian(track, studio().camera, CUBE)[:, :, 0]
+    response = np.concatenate([-0.05 * contour[:, :3], 0.05 * axes[:, :, 0]], axis=1)
+    turned = quat_multiply(quat_from_rotvec(exponent_off * response[:, 3:]), track.quaternion)
+    moved = track.position_m + exponent_off * response[:, :3]
+    bias = np.stack([contour, response], axis=2)
+    return throw, replace(track, position_m=moved, quaternion=turned, bias_jacobian=bias, response_sigma=0.3)
+
+
+def test_flights_determine_the_exponent_of_an_unknown_response() -> None:
+    throw, track = with_unknown_response(-0.3)
+    found = measure(track, CUBE, studio().camera)
+    exponent, sigma = float(found.chain.shared[1]), float(found.chain.shared_sigma[1])
+    assert sigma < 0.1
+    assert abs(exponent + 0.3) < 3.5 * sigma
+    biased = float(np.median(nees(with_calibrated_covariance(replace(track, bias_jacobian=None), CUBE), throw)))
+    known = float(np.median(nees(with_calibrated_covariance(found.frames, CUBE, studio().camera), throw)))
+    assert known < min(12.0, biased)
+
+
+def test_the_bias_of_edges_leaves_the_places_of_marks_as_the_die_turns() -> None:
+    throw, rng = lone(1)
+    track, camera = seen(throw, rng), studio().camera
+    rows = np.arange(len(track))
+    still = np.tile(track.quaternion[:1], (len(track), 1))
+    # A whole turn about the line of sight, on which the shift of the edges points everywhere.
+    angle = 2.0 * np.pi * rows / len(track)
+    turning = quat_multiply(quat_from_rotvec(angle[:, None] * camera.rotation[2]), still)
+    across = camera.rotation[0]
+    sideways = [
+        np.sqrt(across @ placement_covariances(replace(track, quaternion=q), camera, CUBE, rows)[0, :3, :3] @ across)
+        for q in (still, turning)
+    ]
+    shift_m = shared_bias_sigma(track, camera, CUBE)[1] * shared_bias_jacobian(track, camera, CUBE)[0, :3, 1] @ across
+    assert sideways[0] == pytest.approx(shift_m, rel=0.1)
+    assert sideways[1] < 0.1 * sideways[0]
 
 
 def test_frames_without_a_pose_have_no_bias_jacobian() -> None:
