@@ -229,7 +229,7 @@ def test_poses_that_do_not_explain_their_pictures_are_replaced_with_those_beside
 
 def test_poses_that_explain_their_pictures_stay_as_they_are() -> None:
     view, task, poses, _ = whole_track()
-    poses.cost[40:56] *= 1.3
+    poses.cost[40:56] *= 1.15
     assert np.array_equal(_resumed(view, task, poses.copy()).position_m, poses.position_m)
 
 

@@ -51,7 +51,7 @@ def refined(marks: SurfaceMarks, film: dict[int, Image], which: range) -> tuple[
     track, rows = learned_marks()[1], np.array(which)
     edges = FramePoses(
         track.position_m[rows], matrix_from_quat(track.quaternion[rows]), np.linalg.inv(track.covariance[rows]),
-        np.zeros((len(rows), 6)),
+        np.zeros((len(rows), 6, 1)),
     )  # fmt: skip
     frames = np.array([film[k] for k in which])[:, None]
     refinement = FrameRefinement(VIEW, marks, edges, Throw(marks.flights, ()), rows / FPS)
