@@ -60,6 +60,8 @@ of 0.7 to 5.2 (expected: 5.35); with a share of 0.1 seven of them had 0.1 to 1.0
 have 0.2 to 2.3: half the share would suffice there."""
 RESPONSE_UNDETERMINED = 0.03
 """Standard deviation of the part of the exponent of a response that flights do not determine: curves of cameras are no powers."""
+LEAST_SHOWN = 1e-9
+"""Least sum of the cosines at which a face is seen: one that no frame shows has no marks."""
 ROTATION_SHARE = 0.75
 """Rotation error at the outline over lateral error: several edges on both sides of the axis contribute to a rotation."""
 
@@ -110,9 +112,10 @@ def undetermined_bias_sigma(track: Track, camera: Camera, die: Die) -> Array:
 def placement_covariances(track: Track, camera: Camera, die: Die, learned: NDArray[np.int64]) -> Array:
     """(n, 6, 6) covariance that poses on surface marks share because edges told where the marks are: NaN without a pose.
 
-    The bias of the edges has fixed axes before the camera, and the marks turn with the die: their place in body axes has the mean
-    of that bias over the rows `learned`, and a pose has it as the die lies then. Little is left after a whole turn. A bias along
-    the line of sight only scales the marks, and the flights determine it."""
+    The bias of the edges has fixed axes before the camera, and the marks turn with the die: the place of a face's marks in body
+    axes has the mean of that bias over the rows `learned` that show the face, and a pose has that of the faces in view, as the
+    die lies then. Little is left after a whole turn. A bias along the line of sight only scales the marks, and the flights determine
+    it."""
     bias, sigma = shared_bias_jacobian(track, camera, die), undetermined_bias_sigma(track, camera, die)
     sight = track.position_m - camera.centre_m
     sight /= np.linalg.norm(sight, axis=1, keepdims=True)
@@ -120,8 +123,13 @@ def placement_covariances(track: Track, camera: Camera, die: Die, learned: NDArr
     covariance, use = np.full((len(track), 6, 6), np.nan), np.flatnonzero(track.tracked)
     body = np.zeros((len(track), 6, 6))
     body[use, :3, :3] = body[use, 3:, 3:] = matrix_from_quat(track.quaternion[use])
-    in_body = (np.swapaxes(body[learned], 1, 2) @ bias[learned]).mean(axis=0)
-    moved = body[use] @ (in_body * sigma)
+    toward = np.einsum("nij,ni->nj", body[use, :3, :3], -sight[use])
+    shown = np.zeros((len(track), len(die.solid.normals)))
+    shown[use] = np.maximum(toward @ die.solid.normals.T, 0.0)
+    of_face = np.einsum("nf,nij->fij", shown[learned], np.swapaxes(body[learned], 1, 2) @ bias[learned])
+    of_face /= np.maximum(shown[learned].sum(axis=0), LEAST_SHOWN)[:, None, None]
+    share = shown[use] / shown[use].sum(axis=1, keepdims=True)
+    moved = body[use] @ (np.einsum("nf,fij->nij", share, of_face) * sigma)
     covariance[use] = moved @ np.swapaxes(moved, 1, 2)
     return covariance
 
