@@ -114,8 +114,8 @@ def placement_covariances(track: Track, camera: Camera, die: Die, learned: NDArr
 
     The bias of the edges has fixed axes before the camera, and the marks turn with the die: the place of a face's marks in body
     axes has the mean of that bias over the rows `learned` that show the face, and a pose has that of the faces in view, as the
-    die lies then. Little is left after a whole turn. A bias along the line of sight only scales the marks, and the flights determine
-    it."""
+    die lies then. Little is left after a whole turn. A bias along the line of sight only scales the marks, and the flights
+    determine it."""
     bias, sigma = shared_bias_jacobian(track, camera, die), undetermined_bias_sigma(track, camera, die)
     sight = track.position_m - camera.centre_m
     sight /= np.linalg.norm(sight, axis=1, keepdims=True)
