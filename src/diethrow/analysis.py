@@ -15,6 +15,7 @@ from .tracking.camera import Camera
 from .tracking.check import SecondDie, fall_notices, measure_fall
 from .tracking.clip_parameters import ClockOffsets, CornerRadius, EstimatedResponse
 from .tracking.footage import Clip
+from .tracking.picture import Lens
 from .tracking.surface_marks import FaceNumbers
 from .tracking.timing import FrameTimes
 from .tracking.track import Track
@@ -70,6 +71,8 @@ class Tracking:
     """Sentences that name frames whose poses contradict each other."""
     response: EstimatedResponse | None = None
     """Estimated response of the cameras; None if the scene states it or the pictures do not show it."""
+    lens: Lens | None = None
+    """Estimated lens of the first camera; None if the pictures show no depth of field."""
 
     @property
     def face_numbers(self) -> tuple[int | None, ...]:
@@ -86,6 +89,7 @@ class Tracking:
             *self.offsets.notices(1.0 / rate_hz(self.frames)),
             *((self.corners.notice,) if self.corners is not None else ()),
             *((self.response.notice,) if self.response is not None and not self.response.is_linear else ()),
+            *((self.lens.notice,) if self.lens is not None else ()),
             *((self.second_die.notice,) if self.second_die is not None else ()),
             *((self.faces.verdict,) if self.die.marks is not None and not self.faces.complete else ()),
             *self.doubts,

@@ -82,6 +82,14 @@ class Lens:
         defocus_px = 0.25 * self.aperture_m * focal_px * (1.0 / depth_m - 1.0 / self.focus_m)
         return np.hypot(self.blur_px, defocus_px)
 
+    @property
+    def notice(self) -> str:
+        """What was found, for the notes of a run."""
+        return (
+            f"The blur of the die changes with its distance, as that of a lens of {1e3 * self.aperture_m:.0f} mm focused at "
+            f"{self.focus_m:.2f} m does; a smaller aperture makes poses more exact."
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class View:

@@ -37,6 +37,7 @@ from ..clip_parameters import (
 )
 from ..footage import Clip, FrameSource, clip_in_light, estimate_background, level_grey, picture_in_light
 from ..picture import (
+    Lens,
     PixelNoise,
     View,
     make_view,
@@ -116,6 +117,8 @@ class TrackedClip:
     """(height, width) what the first camera sees without the die, given or estimated, in grey levels of `response`."""
     response: EstimatedResponse | None = None
     """Of the cameras, if that was wanted and the pictures show it."""
+    lens: Lens | None = None
+    """Of the first camera, if the pictures show its depth of field."""
 
 
 def track_clip(
@@ -178,7 +181,8 @@ def track_clip(
     calibrated = with_calibrated_covariance(track, view.die, view.camera, every=decimation_factor(track, view.die))
     if view.readout_s != 0.0:
         calibrated = _at_frame_times(view, source, calibrated, throw)
-    return TrackedClip(calibrated, result.marks, offsets, view.die, corners, empty, response)
+    lens = view.lens if view.lens.aperture_m > 0.0 else None
+    return TrackedClip(calibrated, result.marks, offsets, view.die, corners, empty, response, lens)
 
 
 def _response(view: View, source: FrameSource, poses: ClipPoses) -> EstimatedResponse | None:

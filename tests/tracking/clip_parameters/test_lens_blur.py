@@ -9,14 +9,16 @@ import pytest
 from footage_of_throws import DICE, photograph, studio
 from numpy.typing import NDArray
 from random_throws import random_quaternion
+from replay_records import ArrayClip
 
 from diethrow.model.rotations import matrix_from_quat, quat_from_rotvec
-from diethrow.model.throw import State
+from diethrow.model.throw import Flight, State
 from diethrow.tracking.clip_parameters.lens_blur import FEWEST_FRAMES, depth_of_field, estimate_lens
 from diethrow.tracking.picture import View
 from diethrow.tracking.picture.view import Lens, with_lens
 from diethrow.tracking.pose.clip_poses import SampledFrames
 from diethrow.tracking.pose.refine import pose_state, refine_pose
+from diethrow.tracking.sequence.tracker import track_clip
 
 Array = NDArray[np.float64]
 
@@ -90,3 +92,22 @@ def test_the_distance_of_a_blurred_die_is_right_with_the_depth_of_field_of_the_l
         off_mm.append(1e3 * abs(float((pose.position_m - near.position_m) @ ROOM.camera.rotation[2])))
     assert off_mm[0] < 0.05
     assert off_mm[0] < 0.5 * off_mm[1]
+
+
+def test_a_clip_through_an_open_lens_is_tracked_with_its_depth_of_field() -> None:
+    """A cube that flies towards the camera, out of focus."""
+    die, count, fps, sight = DICE["cube"], 60, 1500.0, ROOM.camera.rotation[2]
+    release = State(
+        0.0, ROOM.camera.centre_m + 0.4 * sight, states(1)[0].quaternion, -1.4 * sight, np.array([8.0, 5.0, -6.0])
+    )
+    flight, rng = Flight(release, np.inf), np.random.default_rng(8)
+    seen = [flight.at(k / fps) for k in range(count)]
+    pictures = [photograph(replace(ROOM, blur_px=blur_px(OPEN, one)), die, one, rng) for one in seen]
+    clip = ArrayClip(np.clip(np.rint(pictures), 0, 255).astype(np.uint8), np.arange(count) / fps)
+    found = track_clip(clip, ROOM.camera, die, background=ROOM.table)
+    assert found.lens is not None
+    assert abs(found.lens.aperture_m - OPEN.aperture_m) < 0.2 * OPEN.aperture_m
+    assert f"{1e3 * found.lens.aperture_m:.0f} mm" in found.lens.notice
+    assert found.track.tracked.mean() > 0.9
+    off_m = (found.track.position_m - np.array([one.position_m for one in seen]))[found.track.tracked] @ sight
+    assert float(np.median(np.abs(off_m))) < 2e-4

@@ -144,7 +144,7 @@ def track_scene(
     return Tracking(
         tuple(clips), cameras, die, faces, frames, found.independent, found.throw, found.smoothed, followed.offsets,
         followed.corners, times.renumbered(clips[0].first_frame, decimation.every), second, found.doubts,
-        followed.response,
+        followed.response, followed.lens,
     )  # fmt: skip
 
 
@@ -291,6 +291,8 @@ def write_origin(
         found |= {"corner_radius_m": tracking.corners.radius_m, "sigma_corner_radius_m": tracking.corners.sigma_m}
     if tracking is not None and tracking.response is not None and not tracking.response.is_linear:
         found |= {"response": tracking.response.exponent, "sigma_response": tracking.response.sigma}
+    if tracking is not None and tracking.lens is not None:
+        found |= {"aperture_m": tracking.lens.aperture_m, "focus_m": tracking.lens.focus_m}
     if tracking is not None and tracking.times.faults:
         found |= {"times_corrected": tracking.times.corrected}
         found |= {"frame_time_faults": [fault.record for fault in tracking.times.faults]}
