@@ -92,7 +92,7 @@ LEAST_IMPROVEMENT = 0.02
 SURFACE_EXCESS_SHARE = 0.25
 """Cost above the usual, as a share of it, up to which a pose after an impact is accepted if the whole surface is compared: it
 varies with the faces in view. Right poses on two clips, one of them in H.264, came to a seventh."""
-SURFACE_TRIALS = 14
+IMPACT_SURFACE_TRIALS = 14
 """Most hypotheses whose pose is refined on the whole surface of a well-rounded die."""
 MOST_DIRECT = 4
 """Those of them that are not refined on its edges before."""
@@ -102,7 +102,7 @@ WINDOW_SAMPLES = 6000
 """Pixels of the window on which poses refined on edges are compared."""
 REFINED_ANEW = 4
 """Hypotheses that are refined again if none explains the picture as usual: the few steps from afar may not have been enough."""
-APART_EDGES = 0.06
+IMPACT_APART_EDGES = 0.06
 """Distance of corners, in edges, from which two of these lie apart."""
 CLEAR_SUPPORT = 0.8
 """Share of the contour with a clear step that shows a die beyond doubt: a rod in front of it takes away more."""
@@ -335,7 +335,7 @@ class FrameTracker:
             yield first, expected
         others = islice(self._other_states(expected), self.view.quality.max_hypotheses)
         if self.view.shows_surface(expected.position_m):
-            others = islice(self._apart(self._surface_starts(image, [*others])), SURFACE_TRIALS)
+            others = islice(self._apart(self._surface_starts(image, [*others])), IMPACT_SURFACE_TRIALS)
         for state, coarse in others:
             pose = self._refined(image, state, coarse, None)
             if pose is not None:
@@ -377,7 +377,7 @@ class FrameTracker:
         kept: list[tuple[Array, Array]] = []
         for state, coarse in states:
             here = state.position_m, state.rotation
-            if not any(same_picture(self.view, here, there, APART_EDGES) for there in kept):
+            if not any(same_picture(self.view, here, there, IMPACT_APART_EDGES) for there in kept):
                 kept.append(here)
                 yield state, coarse
 
