@@ -66,6 +66,9 @@ cameras for measurements none."""
 LOSSLESS_CODECS = ("ffv1", "rawvideo", "huffyuv", "ffvhuff", "utvideo", "png", "magicyuv", "v210", "r210")
 """Codecs of FFmpeg that keep pictures as they are. Others smooth edges behind the curve, which then look as those of a linear
 camera: of ten such clips with a curve one is recognised, and four exclude it by three standard errors or more."""
+GAINING_SIGMAS = 1.0
+"""Gain of an exponent, in its standard errors, from which a clip without loss may have a curve after all. Below it is linear: an
+unknown that its flights had to determine would cost the exact clips of measuring cameras most of their accuracy in depth."""
 LEAST_SIGMA = 0.03
 """Least standard error of an exponent: curves of cameras are no powers. The sRGB curve, for one, differs from that with the
 exponent 0.45 by up to 0.035 of full scale in the dark."""
@@ -103,20 +106,22 @@ class EstimatedResponse:
 
 
 def estimate_response(view: View, looks: Looks, clip: Clip) -> EstimatedResponse | None:
-    """The response of a clip; None if too few frames show edges and no codec wrote the file.
+    """The response of a clip; None if too few frames show edges and the file is without loss.
 
     `looks` gives at most so many frames with their poses; these and `view` have the levels of `clip`."""
     trials = _Trials.of(view, looks(RESPONSE_FRAMES), clip)
     if trials is not None and trials.best_sigmas > 0.0:
         trials = _Trials.of(view, looks(MORE_FRAMES), clip)
     codec = clip.metadata().get("codec")
+    is_lossy = codec is not None and codec not in LOSSLESS_CODECS
     if trials is None:
-        # Files that no codec wrote are those of cameras for measurements, which are linear.
-        return None if codec is None else EstimatedResponse(1.0, UNKNOWN_SIGMA)
+        # Cameras for measurements, which are linear, write files without loss.
+        return EstimatedResponse(1.0, UNKNOWN_SIGMA) if is_lossy else None
     if trials.is_certain:
         return EstimatedResponse(trials.best_exponent, trials.sigma_of(trials.best_exponent))
-    is_lossy = codec is not None and codec not in LOSSLESS_CODECS
-    return EstimatedResponse(1.0, UNKNOWN_SIGMA if is_lossy else trials.sigma_of(1.0))
+    if is_lossy:
+        return EstimatedResponse(1.0, UNKNOWN_SIGMA)
+    return EstimatedResponse(1.0, trials.sigma_of(1.0) if trials.best_sigmas > GAINING_SIGMAS else 0.0)
 
 
 @dataclass(frozen=True, eq=False)

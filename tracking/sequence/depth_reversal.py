@@ -39,9 +39,14 @@ WINDOW = 24
 """Frames of one motion."""
 REVERSAL_MISFIT = 0.15
 """Misfit by which the pose of a reversal may be worse: where a die shows one face, single frames hardly distinguish the two."""
-CLEAR_MISFIT = 0.3
-"""Misfit by which a reversal must be better to be accepted whatever its motion is. Where a die passes a view in which near and
-far draw the same, it may be followed as its reversal from there on."""
+COSTLY_MISFIT = 0.3
+"""Misfit above the usual of the clip from which a frame is compared with its reversal."""
+CLEAR_MISFIT = 0.5
+"""Misfit by which the reversal of SHORT_RUN frames or fewer must be better to be accepted whatever its motion is. Where a die
+passes a view in which near and far draw the same, it may be followed as its reversal from there on. Of a tetrahedron above its
+shadow the reversal was better by 0.3."""
+SHORT_RUN = 12
+"""Frames whose motion hardly shows the fall: over more of them it decides."""
 MAX_CHI2_RATIO = 0.5
 """Chi-square of the reversal over that of the poses above which it is rejected. A die at rest, or one that an impact deflects,
 has a large chi-square in either pose."""
@@ -120,7 +125,7 @@ def _corrected_once(view: View, source: FrameSource, poses: ClipPoses, unused: M
 def _costly(poses: ClipPoses) -> Mask:
     """(n,) frames whose poses explain them clearly worse than half of the clip."""
     usual = float(np.median(poses.cost_with_edge_noise[poses.known])) if poses.known.any() else np.inf
-    return np.asarray(poses.known & (poses.cost_with_edge_noise > usual + CLEAR_MISFIT))
+    return np.asarray(poses.known & (poses.cost_with_edge_noise > usual + COSTLY_MISFIT))
 
 
 def _spread(rows: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -129,12 +134,12 @@ def _spread(rows: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _is_clearly_better(poses: ClipPoses, other: ClipPoses, run: slice) -> bool:
-    """Whether other poses are those of nearly all frames of a run and explain their pictures clearly better: its motion then need
-    not tell, which a few frames behind an impact hardly show."""
+    """Whether other poses are those of nearly all frames of a short run and explain their pictures clearly better: its motion
+    then need not tell, which a few frames behind an impact hardly show."""
     both = np.flatnonzero((poses.known & other.known)[run]) + run.start
     covered = len(both) >= max(MIN_COVERAGE * poses.known[run].sum(), MIN_IN_A_ROW)
     gain = poses.cost_with_edge_noise[both] - other.cost_with_edge_noise[both]
-    return bool(covered and float(np.median(gain)) > CLEAR_MISFIT)
+    return bool(covered and run.stop - run.start <= SHORT_RUN and float(np.median(gain)) > CLEAR_MISFIT)
 
 
 def _runs(has_reversal: Mask) -> list[tuple[int, int]]:
