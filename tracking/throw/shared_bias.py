@@ -110,7 +110,7 @@ def undetermined_bias_sigma(track: Track, camera: Camera, die: Die) -> Array:
 
 
 def placement_covariances(track: Track, camera: Camera, die: Die, learned: NDArray[np.int64]) -> Array:
-    """(n, 6, 6) covariance that poses on surface marks share because edges told where the marks are: NaN without a pose.
+    """(n, 6, 6) covariance that poses on surface marks share because edges located the marks; NaN without a pose.
 
     The bias of the edges has fixed axes before the camera, and the marks turn with the die: the place of a face's marks in body
     axes has the mean of that bias over the rows `learned` that show the face, and a pose has that of the faces in view, as the

@@ -143,7 +143,7 @@ def test_residuals_that_are_alike_beside_each_other_count_for_fewer() -> None:
 
 
 def test_saturated_faces_do_not_move_the_contour() -> None:
-    """Of a face twice as bright as full scale a clipped contour lies further out; a pixel at full scale is at least as bright."""
+    """Of a face brighter than full scale a clipped contour lies further out; a pixel at full scale is at least as bright."""
     full_grey, setting = 150.0, replace(studio(), noise_grey=1.0)
     die, off_mm = replace(DICE["cube"], corner_radius_m=1.6e-3), []
     plain = setting.view(die)

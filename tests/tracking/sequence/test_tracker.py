@@ -233,6 +233,15 @@ def test_poses_that_explain_their_pictures_stay_as_they_are() -> None:
     assert np.array_equal(_resumed(view, task, poses.copy()).position_m, poses.position_m)
 
 
+def test_right_poses_that_seem_to_explain_their_pictures_badly_are_found_again() -> None:
+    view, task, poses, throw = whole_track()
+    poses.cost[40:56] *= 1.3
+    again = _resumed(view, task, poses.copy())
+    assert again.known.all()
+    assert np.abs(again.position_m - poses.position_m).max() < 2e-4
+    assert off_m(again, throw).max() < 1e-3
+
+
 def test_tracking_does_not_resume_where_the_die_had_left_the_picture() -> None:
     view, source, _, poses, _ = seen_late()
     poses.motion[SEEN_FROM, :3] = -100.0 * view.camera.rotation[0]
