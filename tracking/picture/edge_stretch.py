@@ -14,6 +14,9 @@ grey, each also informs the others. Their mean grey and the variance between the
 Laird, Control. Clin. Trials 7, 177, 1986); the mean is a prior on each stretch, is itself an unknown of the frame, and
 is eliminated from the equations of a view.
 
+**Saturation.** A pixel at full scale says "at least this bright". Where as much is predicted it says nothing else: it has no
+weight, and how bright the side of the edge is follows from the pixels between the two. Where less is, it counts as any other.
+
 **Rounding.** In a clip with few grey levels, rounding to steps s wider than its noise has the same error on all pixels
 of one grey. The two greys beside an edge are each off by s/√12, and the pixels between, which take all levels, by
 nothing on average. That equals an error e = s/√24 of the two greys against the pixels between, and shifts the whole
@@ -85,6 +88,12 @@ LEAST_FILE_NOISE = 0.5
 """Least noise in the file's grey levels: rounding to whole levels leaves 0.3."""
 MIXED_SHARE = 0.01
 """Share of either side in a pixel from which it shows both."""
+SATURATED_PART = 0.01
+"""Part of full scale by which a saturated pixel may be predicted darker and still counts as explained: noise."""
+FAR_OFF = 1e8
+"""Residual [grey] that the biweight gives no weight before the scale is known."""
+CENSORED = 1e9
+"""Residual [grey] of a saturated pixel that is predicted to be as bright: so far off that it never has a weight."""
 LEAST_PIVOT = 1e-9
 """Part of its diagonal that a pivot of the intensities keeps at the least; below, two of them cannot be separated."""
 LEAST_SHARED_PIVOT = 1e-12
@@ -139,7 +148,7 @@ def add_stretch(
     res, A, L, y, c, C, size, rise = work.residual, work.A, work.L, work.y, work.c, work.C, work.size, work.grey_slope
     K = 2 if sharp else 4
     base = stretch.background_sum / n
-    scale, icut = noise_floor, 0.0
+    scale, icut, seen = noise_floor, 0.0, n
     sums, shared_grey = work.grey_sums[view], work.shared_grey[view]
     light, tie = work.light, work.tie
     lit = not sharp and light.level[view] > 0.0
@@ -153,6 +162,10 @@ def add_stretch(
     known_near, known_far = 0.0, 0.0
     c[2], c[3] = 0.0, 0.0
     res[:n] = 0.0
+    is_saturated = _has_saturated(n, settings.saturation_grey, work.value)
+    if is_saturated:
+        # The greys are at least as bright, until the other pixels say otherwise.
+        seen, icut = _censor(n, settings.saturation_grey, work.value, res, size), 1.0 / FAR_OFF
     for reweighting in range(REWEIGHTINGS):
         if sharp:
             A[0, 0], A[1, 0], A[1, 1], y[0], y[1] = _two_sums(n, icut, phi[0], phi[1], grey, res, w)
@@ -188,13 +201,21 @@ def add_stretch(
             _two_residuals(n, c[0], c[1], phi[0], phi[1], grey, res, size)
         else:
             _four_residuals(n, c, phi, grey, res, size)
+        if is_saturated:
+            seen = _censor(n, settings.saturation_grey, work.value, res, size)
+            if seen < FEWEST_PIXELS:
+                return
         if reweighting < REWEIGHTINGS - 1:
-            scale = max(noise_floor, NORMAL_MAD * median_size(size, n))
+            scale = max(noise_floor, NORMAL_MAD * median_size(size, seen))
         else:
             scale = max(noise_floor, robust_scale(n, icut, res))
         icut = 1.0 / (BIWEIGHT_CUT * scale)
     iv = stretch.weight / (scale * scale)
     cost, used = _grey_slopes(n, K, c, icut, slope, res, rise, w)
+    if seen < n:
+        cost -= float(n - seen)
+        for i in range(n):
+            w[i] = 0.0 if res[i] == CENSORED else w[i]
     if lit:
         for i in range(n):
             rise[i] += work.known_slope[i]
@@ -450,6 +471,29 @@ def _two_residuals(n: int, c0: float, c1: float, near: Any, far: Any, grey: Any,
 
 
 @inner_fast_sums_no_memory
+def _has_saturated(n: int, saturation: float, value: Any) -> bool:
+    """Whether any pixel is saturated."""
+    count = 0
+    for i in range(n):
+        count += 1 if value[i] >= saturation else 0
+    return count > 0
+
+
+@inner_no_memory
+def _censor(n: int, saturation: float, value: Any, res: Any, size: Any) -> int:
+    """Mark saturated pixels that are predicted to be as bright as CENSORED, and move the absolute residuals of the others to the
+    front; return their number."""
+    seen = 0
+    for i in range(n):
+        if value[i] >= saturation and res[i] < SATURATED_PART * saturation:
+            res[i] = CENSORED
+        else:
+            size[seen] = size[i]
+            seen += 1
+    return seen
+
+
+@inner_fast_sums_no_memory
 def _four_sums(n: int, icut: float, phi: Any, grey: Any, res: Any, w: Any, A: Any, y: Any) -> None:
     """The same for the four intensities of a rounded edge: normal matrix A (lower half) and right side y."""
     p0, p1, p2, p3 = phi[0], phi[1], phi[2], phi[3]
@@ -514,10 +558,13 @@ def file_residual(value: float, residual: float, settings: RefinementSettings) -
 @inner_no_memory
 def _file_noise(n: int, settings: RefinementSettings, value: Any, res: Any, size: Any) -> float:
     """Noise of a stretch in the file's grey levels; `size` is overwritten."""
+    seen = 0
     for i in range(n):
-        size[i] = abs(file_residual(value[i], res[i], settings))
-    scale = max(NORMAL_MAD * median_size(size, n), LEAST_FILE_NOISE)
-    return max(robust_scale(n, 1.0 / (BIWEIGHT_CUT * scale), size), LEAST_FILE_NOISE)
+        if res[i] < CENSORED:
+            size[seen] = abs(file_residual(value[i], res[i], settings))
+            seen += 1
+    scale = max(NORMAL_MAD * median_size(size, seen), LEAST_FILE_NOISE)
+    return max(robust_scale(seen, 1.0 / (BIWEIGHT_CUT * scale), size), LEAST_FILE_NOISE)
 
 
 @inner_fast_sums_no_memory
@@ -541,18 +588,25 @@ def _grey_slopes(n: int, K: int, c: Any, icut: float, slope: Any, res: Any, rise
 
 
 @inner_no_memory
-def _fill_response_slopes(n: int, near_grey: float, near: Any, value: Any, res: Any, out: Any) -> None:
-    """Fill the derivative of each pixel by the exponent of the response, with the greys on both sides of the edge held.
+def response_slope(share: float, near: float, far: float) -> float:
+    """Derivative of a pixel by the exponent of the response, with the greys on both sides of an edge held: `near`, of which it
+    shows a share, and `far`.
 
     Blur mixes light and not grey levels. Of two sides a and b, of which a pixel shows the shares φ and 1 - φ, it shows
     (φ a^1/γ + (1 - φ) b^1/γ)^γ; the derivative by γ at 1 is P ln P - φ a ln a - (1 - φ) b ln b, with P = φ a + (1 - φ) b."""
-    a = max(near_grey, LEAST_FILE_NOISE)
+    if share < MIXED_SHARE or share > 1.0 - MIXED_SHARE:
+        return 0.0
+    a, b = max(near, LEAST_FILE_NOISE), max(far, LEAST_FILE_NOISE)
+    mixed = share * a + (1.0 - share) * b
+    return mixed * log(mixed) - share * a * log(a) - (1.0 - share) * b * log(b)
+
+
+@inner_no_memory
+def _fill_response_slopes(n: int, near_grey: float, near: Any, value: Any, res: Any, out: Any) -> None:
+    """Fill the derivative of each pixel by the exponent of the response."""
     for i in range(n):
-        out[i] = 0.0
-        if MIXED_SHARE < near[i] < 1.0 - MIXED_SHARE:
-            mixed = max(value[i] - res[i], LEAST_FILE_NOISE)
-            b = max((mixed - near[i] * a) / (1.0 - near[i]), LEAST_FILE_NOISE)
-            out[i] = mixed * log(mixed) - near[i] * a * log(a) - (1.0 - near[i]) * b * log(b)
+        far_grey = (value[i] - res[i] - near[i] * near_grey) / max(1.0 - near[i], MIXED_SHARE)
+        out[i] = response_slope(near[i], near_grey, far_grey)
 
 
 @inner_no_memory

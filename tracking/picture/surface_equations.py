@@ -77,8 +77,10 @@ from .edge_stretch import (
     LEAST_FILE_NOISE,
     MIXED_SHARE,
     NORMAL_MAD,
+    SATURATED_PART,
     file_residual,
     median_size,
+    response_slope,
     robust_scale,
 )
 from .region_cost import DIFFERENT_SIGMAS, FACE_SHADING, FACE_SIGMAS, SHADOW_SQUARED_SIGMAS_CUT, SQUARED_SIGMAS_CUT
@@ -99,8 +101,6 @@ SHADOW_SHARE = 0.05
 """Difference of a pixel from the shaded background, as a share of it, that is added to these."""
 REWEIGHTINGS = 5
 """Iterations of these weights."""
-SATURATED_PART = 0.01
-"""Part of full scale by which a saturated pixel may be predicted darker and still counts as explained: noise."""
 SCALE_CELLS = 128
 """Cells of the histogram from which the median of residuals is found."""
 CELL_SIGMAS = 0.0625
@@ -365,7 +365,8 @@ def _add_pixels(
                 row[3 + a] += slope[a]
             row[CONTOUR] = step * grid.beyond[i, j, 3]
             row[BLUR] = step * grid.beyond[i, j, 4] if sampling.with_blur else 0.0
-            row[RESPONSE] = _response_slope(w, grid.glow[i, j], under) if sampling.with_response else 0.0
+            die_grey = grid.glow[i, j] / max(w, MIXED_SHARE)
+            row[RESPONSE] = response_slope(w, die_grey, under) if sampling.with_response else 0.0
             for a in range(LIGHT_TERMS):
                 row[PARAMETERS + a] = slope[3 + a]
             _add_row(row, iv, e, shared, right)
@@ -446,17 +447,6 @@ def _add_cost(e: float, w: float, difference: float, scene: Any, cost: Any) -> N
         cost[2] += 1.0
         if abs(difference) > DIFFERENT_SIGMAS * noise:
             cost[3] += 1.0
-
-
-@inner_no_memory
-def _response_slope(share: float, glow: float, under: float) -> float:
-    """Derivative of a pixel on the contour by the exponent of the response, see `edge_stretch`: of the die, which has a `share`
-    of it and leaves `glow` [grey] there, and of the background."""
-    if share < MIXED_SHARE or share > 1.0 - MIXED_SHARE:
-        return 0.0
-    die, mixed = max(glow / share, LEAST_FILE_NOISE), max(glow + (1.0 - share) * under, LEAST_FILE_NOISE)
-    table = max(under, LEAST_FILE_NOISE)
-    return mixed * log(mixed) - share * die * log(die) - (1.0 - share) * table * log(table)
 
 
 @inner_no_memory
