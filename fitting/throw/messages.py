@@ -46,11 +46,16 @@ def frame_messages(free: FreeFlights) -> list[str]:
     return messages
 
 
-def bounce_messages(trajectories: list[Trajectory], free: FreeFlights, total: int, explained: int) -> list[str]:
-    """The bounces that the fit explains, and why it stops."""
-    messages, best = [], trajectories[0]
+def bounce_messages(
+    trajectories: list[Trajectory], free: FreeFlights, bounces: tuple[int, int], beside: str
+) -> list[str]:
+    """The `bounces` that the fit explains, of all, and why it stops; `beside` are the frames of the flights on either side of the
+    next."""
+    messages, best, (explained, total) = [], trajectories[0], bounces
     if explained < total:
-        messages.append(f"The model explains {explained} of {total} bounces; {_why_no_more(best, free, explained)}.")
+        messages.append(
+            f"The model explains {explained} of {total} bounces; {_why_no_more(best, free, explained, beside)}."
+        )
     if len(best.vertices) != explained:
         messages.append(
             f"The fitted throw has {len(best.vertices)} impacts where {explained} bounces were measured: "
@@ -86,7 +91,7 @@ def _listed(vertices: Vertices) -> str:
     return ", ".join(map(str, vertices))
 
 
-def _why_no_more(trajectory: Trajectory, free: FreeFlights, explained: int) -> str:
+def _why_no_more(trajectory: Trajectory, free: FreeFlights, explained: int, beside: str) -> str:
     if not can_go_on(free, trajectory.reached):
         return "the flights that follow have fewer than two frames clear of impacts"
     if at_its_limit(trajectory):
@@ -96,7 +101,7 @@ def _why_no_more(trajectory: Trajectory, free: FreeFlights, explained: int) -> s
         )
     return (
         f"after bounce {explained + 1} every trajectory that was tried lies more than {MISFIT:g} times as far from the "
-        "frames as they scatter"
+        f"frames as they scatter: none of the laws that were tried describes it, or some poses of {beside} are wrong"
     )
 
 
@@ -112,16 +117,16 @@ def inflation_messages(variance: float, tau: float) -> list[str]:
     ]
 
 
-def unexplained_message(total: int, worst_sigmas: float | None, bounces: Sequence[Bounce | None]) -> str:
-    """Why no trajectory explains the first bounce."""
+def unexplained_message(total: int, worst_sigmas: float | None, bounces: Sequence[Bounce | None], beside: str) -> str:
+    """Why no trajectory explains the first bounce; `beside` are the frames of the flights on either side of it."""
     how = (
         "no trajectory reaches the next flight"
         if worst_sigmas is None
         else f"the best trajectory misses the frames of one of the two flights by {worst_sigmas:.1f} sigma (rms)"
     )
     message = (
-        f"The model explains 0 of {total} bounces; {how}: none of the laws that were tried describes these impacts, or the "
-        "frames' errors are far larger than stated. The initial state is that of the first flight alone."
+        f"The model explains 0 of {total} bounces; {how}: none of the laws that were tried describes these impacts, some poses "
+        f"of {beside} are wrong, or their errors are far larger than stated. The initial state is that of the first flight alone."
     )
     smooth = [bounce.smooth_sigmas for bounce in bounces if bounce is not None and np.isfinite(bounce.smooth_sigmas)]
     if smooth:

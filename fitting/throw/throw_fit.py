@@ -85,6 +85,12 @@ class _Task:
         """The measured impacts from `begin` up to `end`, each measured by the flights on either side."""
         return measure_bounces(die, self.free, self.measured.impacts, begin, end)
 
+    def frames_beside(self, bounce: int) -> str:
+        """The frames of the flights before and after a bounce, in words."""
+        beside = np.isin(self.measured.flights_at(self.track.time_s), (bounce, bounce + 1)) & self.track.tracked
+        frames = self.track.frame[beside]
+        return f"frames {frames.min()} to {frames.max()}"
+
 
 def fit_throw(
     track: Track, measured: Throw, die: Die, table: Table = LEVEL, intervals: IntervalMethod = "profile"
@@ -216,7 +222,8 @@ def _result_with_bounces(
     """The result of a fit through one bounce or more."""
     best = trajectories[0]
     total, explained = len(task.measured.impacts) - task.first, best.reached - task.first
-    messages += bounce_messages(trajectories, task.free, total, explained)
+    beside = task.frames_beside(best.reached) if explained < total else ""
+    messages += bounce_messages(trajectories, task.free, (explained, total), beside)
     variance, tau = best.inflation
     messages += inflation_messages(variance, tau)
     messages += restitution_messages(alternatives)
@@ -247,7 +254,8 @@ def _result_without_law(task: _Task, start: Trajectory, trials: list[Trial], mes
     rms = None if attempt is None else float(np.sqrt(attempt.mean_square))
     worst = None if attempt is None else np.sqrt(max(mean_squares(attempt).values()))
     later = task.bounces(start.physics.die, start.reached)
-    messages.append(unexplained_message(len(task.measured.impacts) - start.reached, worst, later))
+    total = len(task.measured.impacts) - start.reached
+    messages.append(unexplained_message(total, worst, later, task.frames_beside(start.reached)))
     fit = replace(_first_flight_result(task, start, messages), considered=_refused(trials), residual_rms=rms)
     common = common_restitution(later, level=INTERVAL_LEVEL)
     chi = None if common is None else _bounded(*common, bounds=(0.0, 1.0))
