@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import nearest_equivalent_rotation
-from ...model.rotations import angle_between, matrix_from_quat, quat_from_matrix, quat_from_rotvec
+from ...model.rotations import angle_between, matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotation_between
 from ...model.throw import Flight, State
+from ...model.world import GRAVITY_M_S2
 from ..footage import FrameSource
 from ..picture import (
     PARAMETERS,
@@ -58,7 +59,7 @@ from .acceptance import (
     ON_PATH_CHI2,
     USUAL_COST_FRAMES,
 )
-from .impact_trials import beyond_impacts, different_rates
+from .impact_trials import beyond_impacts, different_rates, motion_of_poses
 from .motion_filter import (
     FIRST_POSES_RAD,
     FIRST_POSES_REACH,
@@ -113,11 +114,14 @@ FASTEST_FACTOR = 1.5
 FASTEST_FACTOR_BACKWARDS = 4.0
 """Speed before an impact over that after, at the most. A corner alone may lose more: a restitution of 0.15 leaves a seventh."""
 SEARCH_EVERY = 6
-"""Frames without a pose until a new initial pose is searched."""
+"""Frames without a pose between searches for an initial pose, at the most: first comes one at once, and each that fails doubles
+the distance to the next."""
 BACKWARDS_MISSES = 3
 """Frames without a pose after which tracking backwards ends."""
 POSE_VARIANCE_FACTOR = 4.0
 """Factor on the covariance of a pose that starts a motion: twice its standard errors."""
+MOST_CANDIDATES = 3
+"""Poses of one picture that may lie on the motion behind an impact."""
 MIN_POSES_TO_SKIP = 20
 """Poses of a flight, or since a surprise, before frames are skipped: the motion averages over as many."""
 MAX_PREDICTION_SIGMA_PX = 0.3
@@ -140,6 +144,13 @@ class FrameTracker:
         self.motion, self.rotation, self.P, self.clock = motion, rotation, P, clock
         self.misses = 0
         """Frames without a pose since the last one with a pose."""
+        self.searches = False
+        """Whether an initial pose is searched where the die was lost. A hypothesis that others compete with shall not."""
+        self._next_search, self._search_wait = 1, 1
+        self._candidates: list[Pose] = []
+        """Poses that the last picture may show, where the motion did not explain it."""
+        self._surprising: list[tuple[int, list[Pose]]] = []
+        """The last frames in a row that the motion did not explain, with these."""
         self.next_frame = 0
         self.backwards = False
         self._longest_step, self._skip_from, self._surprises = 1, 0, 0
@@ -175,7 +186,7 @@ class FrameTracker:
         back.view, back._occluders = self.view, self._occluders
         for kept, known in zip(kept_light(back._work), kept_light(self._work), strict=True):
             kept[:] = known
-        back.backwards = True
+        back.backwards, back.searches = True, self.searches
         return back
 
     @property
@@ -257,6 +268,7 @@ class FrameTracker:
             found = self._pose_by_hypotheses(np.asarray(frames[k], np.float32), float(times_s[first + k]))
             if found is not None:
                 poses.put(first + k, found, self.motion[3:].copy())
+            self._learn_motion(first + k, times_s, poses)
             done += 1
             if self.backwards and self.misses > BACKWARDS_MISSES:
                 return
@@ -283,7 +295,7 @@ class FrameTracker:
 
     def _pose_by_hypotheses(self, image: NDArray[np.float32], time_s: float) -> Pose | None:
         """The pose on one frame that the motion so far does not explain, or None if the die is lost or out of view."""
-        frame_s, dt = time_s, time_s - float(self.clock[0])
+        frame_s, dt, self._candidates = time_s, time_s - float(self.clock[0]), []
         late = predicted_delay(self.view.rig, self.motion, dt)
         time_s, dt = time_s + late, dt + late
         predicted, P = self.motion.copy(), self.P.copy()
@@ -293,15 +305,17 @@ class FrameTracker:
             self.misses += 1
             return None
         best = self._best_hypothesis(image, expected, P)
-        if best is None or not self._is_acceptable(best[0]) or not self._is_explained(best[0], expected, P):
-            self.misses += 1
-            if self.misses % SEARCH_EVERY != SEARCH_EVERY - 1 or self.backwards:
-                return None
-            return self._initialised_again(image, frame_s, R, abs(dt) / (self.misses + 1))
+        is_lost = best is None or not self._is_acceptable(best[0]) or not self._is_explained(best[0], expected, P)
+        self.misses += is_lost
+        if best is None or is_lost or self._is_doubtful(best[0]):
+            found = self._initialised_again(image, frame_s, R, abs(dt)) if self._searches_now(expected) else None
+            if best is None or is_lost or found is not None:
+                return found
         pose, start = best
         pose = replace(pose, rotation=nearest_equivalent_rotation(pose.rotation, R, self.view.symmetries))
         time_s = float(frame_s + self.view.exposure_delay_s(pose.position_m))
         self._update(pose, start, predicted, R, P, time_s, abs(dt) / (self.misses + 1))
+        self._candidates = [pose]
         return pose
 
     def _best_hypothesis(self, image: NDArray[np.float32], expected: State, P: Array) -> tuple[Pose, State] | None:
@@ -450,25 +464,82 @@ class FrameTracker:
             q = quat_from_matrix(matrix_from_quat(quat_from_rotvec(TRIAL_TURN_RAD * axis)) @ last.rotation)
             yield State(time_s, half, q, np.zeros(3), np.zeros(3)), 4
 
-    def _initialised_again(self, image: NDArray[np.float32], time_s: float, R: Array, frame_s: float) -> Pose | None:
-        """A new initial pose after frames without one; None if none is clear."""
+    def _is_doubtful(self, pose: Pose) -> bool:
+        """Whether a pose explains its picture worse than those before, and no known motion supports it."""
+        return self.clock[2] < MIN_POSES_OF_FLIGHT and pose.cost > self.usual_cost + ACCEPTED_EXCESS_COST
+
+    def _searches_now(self, expected: State) -> bool:
+        """Whether an initial pose is searched on this frame."""
+        due = self.misses == 0 or self.misses >= self._next_search
+        return self.searches and due and share_in_view(self.view, expected.position_m, expected.rotation) == 1.0
+
+    def _initialised_again(self, image: NDArray[np.float32], time_s: float, R: Array, passed_s: float) -> Pose | None:
+        """A new initial pose where the die was lost, some time after the last pose; None if none is clear. Two on consecutive
+        frames give the velocities."""
+        last = _state(float(self.clock[0]), self.motion, self.rotation)
         found = [
-            pose
+            replace(pose, rotation=nearest_equivalent_rotation(pose.rotation, R, self.view.symmetries))
             for _, pose in pose_candidates(self.view, image)
-            if self._is_acceptable(pose)
-            and pose.support > CLEAR_SUPPORT
-            and pose.cost < self.usual_cost + ACCEPTED_EXCESS_COST
+            if self._is_acceptable(pose) and self._is_within_reach(pose, last, time_s - last.time_s)
         ]
-        if not found:
+        self._candidates = sorted(found, key=lambda pose: pose.cost)[:MOST_CANDIDATES]
+        enough = self.usual_cost + ACCEPTED_EXCESS_COST
+        clear = [pose for pose in self._candidates if pose.support > CLEAR_SUPPORT and pose.cost < enough]
+        if not clear:
+            is_followed = bool(found) and len(self._surprising) < MIN_POSES_OF_FLIGHT - 1
+            self._next_search = self.misses + (1 if is_followed else self._search_wait)
+            self._search_wait = self._search_wait if is_followed else min(2 * self._search_wait, SEARCH_EVERY)
             return None
-        pose = replace(found[0], rotation=nearest_equivalent_rotation(found[0].rotation, R, self.view.symmetries))
-        self.motion = np.concatenate([pose.position_m, np.zeros(6)])
-        self.rotation = pose.rotation.copy()
-        self.P = _initial_covariance(self.view, pose, frame_s, UNKNOWN_REACH, UNKNOWN_RAD)
+        pose = clear[0]
         exposed_s = float(time_s + self.view.exposure_delay_s(pose.position_m))
-        self.clock = np.array([exposed_s, pose.cost, 1.0])
-        self.misses, self._rates_after_impact = 0, np.zeros((0, 6))
+        rates, reach, rad = np.zeros(6), UNKNOWN_REACH, UNKNOWN_RAD
+        if self.misses <= 1 and self.clock[2] == 1.0:
+            dt, reach, rad = exposed_s - last.time_s, BOUNCED_REACH, BOUNCED_RAD
+            turn = rotation_between(last.quaternion, quat_from_matrix(pose.rotation))
+            rates = np.concatenate([pose.position_m - last.position_m, turn]) / dt
+        self.motion = np.concatenate([pose.position_m, rates])
+        self.rotation = pose.rotation.copy()
+        self.P = _initial_covariance(self.view, pose, passed_s / max(self.misses, 1), reach, rad)
+        self.clock = np.array([exposed_s, self.usual_cost, 1.0])
+        self._forget_loss()
         return pose
+
+    def _learn_motion(self, k: int, times_s: Array, poses: ClipPoses) -> None:
+        """Take the motion, where it is not known, from the poses that the last pictures show by themselves."""
+        follows = bool(self._surprising) and abs(k - self._surprising[-1][0]) == 1
+        self._surprising = [*(self._surprising if follows else []), (k, self._candidates)][-MIN_POSES_OF_FLIGHT:]
+        if not self._candidates:
+            self._surprising = []
+        is_known = self.misses == 0 and self.clock[2] >= MIN_POSES_OF_FLIGHT
+        if is_known or len(self._surprising) < MIN_POSES_OF_FLIGHT:
+            return
+        rows = [row for row, _ in self._surprising]
+        found = motion_of_poses(self.view, times_s[rows], [candidates for _, candidates in self._surprising])
+        if found is None:
+            return
+        rates, last = np.concatenate([found.velocity_m_s, found.omega_rad_s]), found.poses[-1]
+        for row, pose in zip(rows, found.poses, strict=True):
+            poses.put(row, pose, rates)
+        frame_s = float(abs(found.time_s[-1] - found.time_s[0])) / (len(rows) - 1)
+        self.motion, self.rotation = np.concatenate([last.position_m, rates]), last.rotation.copy()
+        self.P = _initial_covariance(self.view, last, frame_s, BOUNCED_REACH, BOUNCED_RAD)
+        self.clock = np.array([found.time_s[-1], self.usual_cost, float(len(rows))])
+        self._forget_loss()
+
+    def _forget_loss(self) -> None:
+        """The die is known again."""
+        self.misses, self._rates_after_impact = 0, np.zeros((0, 6))
+        self._next_search, self._search_wait = 1, 1
+
+    def _is_within_reach(self, pose: Pose, last: State, dt: float) -> bool:
+        """Whether the die can have come from the last pose to this one: no impact gives energy."""
+        if self.clock[2] < MIN_POSES_OF_FLIGHT:
+            return True
+        fastest = FASTEST_FACTOR_BACKWARDS if self.backwards else FASTEST_FACTOR
+        speed = float(np.linalg.norm(last.velocity_m_s)) + self.view.reach_m * float(np.linalg.norm(last.omega_rad_s))
+        far_m = (fastest * speed + GRAVITY_M_S2 * abs(dt)) * abs(dt) + NEW_FLIGHT_REACH * self.view.reach_m
+        sigma_m = widest_sigma(self.P, 0) if pose.covariance is None else widest_sigma(pose.covariance, 0)
+        return float(np.linalg.norm(pose.position_m - last.position_m)) < far_m + PREDICTED_SIGMAS * sigma_m
 
     def _update(
         self, pose: Pose, start: State, predicted: Array, R: Array, P: Array, time_s: float, frame_s: float

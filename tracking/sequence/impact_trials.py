@@ -2,18 +2,26 @@
 
 The motion before an impact, or of a tracker that runs backwards the one after it, says which corners may have touched the table
 and when, but not the restitution. Smooth impacts with several are tried, close enough to each other for a refinement to find the
-die from one of them."""
+die from one of them.
+
+Where none of these is right, after several impacts at once, the motion behind them follows from the poses that each of three
+pictures in a row shows by itself: those of a die in flight lie on a parabola and turn evenly."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die
 from ...model.throw import Flight, State
+from ...model.world import GRAVITY_M_S2
+from ..picture import View
+from ..pose import Pose, seen_distance_m
+from .labelling import even_rotation
 
 Array = NDArray[np.float64]
 
@@ -30,6 +38,12 @@ TOUCH_SHARE = 0.12
 """Height, as a share of an edge, below which a corner may touch the table between two frames."""
 NEAR_TABLE_SHARE = 0.35
 """Distance of a corner from the table, in edges, at which it may touch it, at low frame rates: the die is known that well."""
+EVEN_REACH = 0.07
+"""Departure of poses from a parabola as the camera sees it, in units of the die's reach, beyond which they are those of no
+flight."""
+EVEN_CHANCE = 0.005
+"""Probability with which orientations on three pictures turn evenly by chance. With θ the largest departure, one of them comes
+near enough to one of N labellings of an even rotation with the probability N θ³/6π, and N spins lead through the two before."""
 SINK_FACTOR = 1.5
 """Factor on a corner's descent over a frame interval, for the error of its velocity."""
 
@@ -103,3 +117,40 @@ def different_rates(states: Iterable[State], dt: float) -> Array:
         if all(np.linalg.norm(rates[3:] - other[3:]) * abs(dt) > 0.5 * TRIAL_SPACING_RAD for other in kept):
             kept.append(rates)
     return np.array(kept) if kept else np.zeros((0, 6))
+
+
+@dataclass(frozen=True, eq=False)
+class MotionOfPoses:
+    """A flight through poses of single pictures."""
+
+    poses: tuple[Pose, ...]
+    """One for each picture, labelled alike."""
+    time_s: Array
+    """(n,) instants of exposure."""
+    velocity_m_s: Array
+    """(3,) at the last of them."""
+    omega_rad_s: Array
+    """(3,)"""
+
+
+def motion_of_poses(view: View, times_s: Array, candidates: list[list[Pose]]) -> MotionOfPoses | None:
+    """The flight on which one of the candidate poses of each picture lies, at frame times (n,) [s], n >= 3; of several the one
+    that explains the pictures best. None if there is none."""
+    tolerance_rad = float(np.cbrt(6.0 * np.pi * EVEN_CHANCE) / len(view.symmetries) ** (2.0 / 3.0))
+    for poses in sorted(product(*candidates), key=lambda some: sum(pose.cost for pose in some)):
+        position_m = np.array([pose.position_m for pose in poses])
+        time_s = times_s + view.exposure_delay_s(position_m)
+        passed_s = time_s - time_s[-1]
+        line = position_m + 0.5 * GRAVITY_M_S2 * passed_s[:, None] ** 2 * np.array([0.0, 0.0, 1.0])
+        fitted, *_ = np.linalg.lstsq(np.stack([np.ones_like(passed_s), passed_s], 1), line, rcond=None)
+        off_m = line - fitted[0] - passed_s[:, None] * fitted[1]
+        if any(
+            seen_distance_m(view.rig, p, off, view.reach_m) > EVEN_REACH * view.reach_m
+            for p, off in zip(position_m, off_m, strict=True)
+        ):
+            continue
+        even = even_rotation(np.array([pose.rotation for pose in poses]), time_s, view.symmetries, tolerance_rad)
+        if even is not None:
+            labelled = tuple(replace(pose, rotation=R) for pose, R in zip(poses, even[0], strict=True))
+            return MotionOfPoses(labelled, time_s, fitted[1], even[1])
+    return None

@@ -294,7 +294,7 @@ def _on_clip(hypothesis: Hypothesis, source: FrameSource, k: int, unused: Mask) 
     if not hypothesis.is_certain:
         rows = rows[-FULL_STAGE:]
     poses.take(k + rows, hypothesis.poses, rows)
-    tracker.next_frame, tracker.unused = k + tracker.next_frame, unused
+    tracker.next_frame, tracker.unused, tracker.searches = k + tracker.next_frame, unused, True
     return tracker, poses
 
 

@@ -51,6 +51,9 @@ UNEXPLAINED_EXCESS_COST = 0.5
 grow."""
 SMALLER_COST = 0.1
 """Mean cost by which other poses must explain pictures better to replace those that do not."""
+CONTESTED_SHARE = 0.5
+"""Share of the frames of other poses that had poses before, above which the others must explain the pictures better: on fewer,
+beside an impact, neither tells."""
 JOINED_COST = 0.15
 """Mean cost by which poses that continue these may be worse than the poses beside, which do not: single frames hardly distinguish
 a die from its depth reversal, and the motion does."""
@@ -171,13 +174,17 @@ def _resumed(view: View, task: TrackingTask, poses: ClipPoses) -> ClipPoses:
         elsewhere = np.ones(len(given_up), bool)
         elsewhere[lost] = False
         found = find_lost_die(view, source, task.unused | elsewhere, task.report)
-        given_up[lost] = True
         if found is None:
+            given_up[lost] = True
             continue
         tracker, others = found
         back = _track_both_ways(tracker, task, others)
-        if poses.known[lost].any() and not _explain_better(others, poses, np.arange(lost.start, lost.stop)):
+        new = np.flatnonzero(others.known[lost]) + lost.start
+        if poses.known[new].mean() > CONTESTED_SHARE and not _explain_better(others, poses, new):
+            given_up[lost] = True
             continue
+        # What is left of the range is looked at again: another impact may lie there.
+        given_up |= others.known
         poses.known[lost] = False
         if others.known[lost.stop - 1]:
             _track_on(tracker, task, others, poses, lost.stop, 1)
