@@ -22,13 +22,11 @@ from ..footage import FrameSource
 from ..picture import (
     PARAMETERS,
     STATISTICS,
-    SUPPORT_COST,
     PoseRows,
     View,
     Workspace,
     kept_light,
     new_workspace,
-    region_costs,
     share_in_view,
     with_occluder_mask,
 )
@@ -59,7 +57,7 @@ from .acceptance import (
     ON_PATH_CHI2,
     USUAL_COST_FRAMES,
 )
-from .impact_trials import beyond_impacts, different_rates, motion_of_poses
+from .impact_trials import beyond_impacts, costs_on_one_window, different_rates, motion_of_poses
 from .motion_filter import (
     FIRST_POSES_RAD,
     FIRST_POSES_REACH,
@@ -99,8 +97,6 @@ MOST_DIRECT = 4
 """Those of them that are not refined on its edges before."""
 MIN_POSES_BEFORE_IMPACT = 2
 """Poses of a flight from which its motion says what an impact does."""
-WINDOW_SAMPLES = 6000
-"""Pixels of the window on which poses refined on edges are compared."""
 REFINED_ANEW = 4
 """Hypotheses that are refined again if none explains the picture as usual: the few steps from afar may not have been enough."""
 IMPACT_APART_EDGES = 0.06
@@ -111,6 +107,10 @@ LOST_FRAMES = 2
 """Frames without a pose after which a die high above the table may be found off its path: the motion was wrong."""
 FASTEST_FACTOR = 1.5
 """Speed of the die's points after an impact over that before, at the most: no impact gives energy."""
+FASTEST_CENTRE_FACTOR = 1.1
+"""The same of its centre over the speed at which it would fly with all its energy."""
+SEEN_REACH = 0.07
+"""Error of the place of single poses, as the camera sees it, in units of the die's reach."""
 FASTEST_FACTOR_BACKWARDS = 4.0
 """Speed before an impact over that after, at the most. A corner alone may lose more: a restitution of 0.15 leaves a seventh."""
 SEARCH_EVERY = 6
@@ -120,8 +120,11 @@ BACKWARDS_MISSES = 3
 """Frames without a pose after which tracking backwards ends."""
 POSE_VARIANCE_FACTOR = 4.0
 """Factor on the covariance of a pose that starts a motion: twice its standard errors."""
-MOST_CANDIDATES = 3
+MOST_CANDIDATES = 4
 """Poses of one picture that may lie on the motion behind an impact."""
+AMBIGUOUS_COST = 0.5
+"""Cost above the least up to which other poses of a picture leave open which is right. Of a tetrahedron that turns one face to
+the camera wrong poses cost 0.4 less than the right one."""
 MIN_POSES_TO_SKIP = 20
 """Poses of a flight, or since a surprise, before frames are skipped: the motion averages over as many."""
 MAX_PREDICTION_SIGMA_PX = 0.3
@@ -147,6 +150,8 @@ class FrameTracker:
         self.searches = False
         """Whether an initial pose is searched where the die was lost. A hypothesis that others compete with shall not."""
         self._next_search, self._search_wait = 1, 1
+        self._fastest_m_s = np.inf
+        """Speed of the die's centre with all the energy that it had, apart from its height, when its motion was last known."""
         self._candidates: list[Pose] = []
         """Poses that the last picture may show, where the motion did not explain it."""
         self._surprising: list[tuple[int, list[Pose]]] = []
@@ -298,6 +303,11 @@ class FrameTracker:
         frame_s, dt, self._candidates = time_s, time_s - float(self.clock[0]), []
         late = predicted_delay(self.view.rig, self.motion, dt)
         time_s, dt = time_s + late, dt + late
+        if self.clock[2] >= MIN_POSES_OF_FLIGHT:
+            gyration2 = self.view.die.inertia_kg_m2 / self.view.die.mass_kg
+            self._fastest_m_s = float(
+                np.sqrt((self.motion[3:6] ** 2).sum() + gyration2 * (self.motion[6:9] ** 2).sum())
+            )
         predicted, P = self.motion.copy(), self.P.copy()
         R = predict_motion(predicted, self.rotation, P, dt)
         expected = _state(time_s, predicted, R)
@@ -307,7 +317,7 @@ class FrameTracker:
         best = self._best_hypothesis(image, expected, P)
         is_lost = best is None or not self._is_acceptable(best[0]) or not self._is_explained(best[0], expected, P)
         self.misses += is_lost
-        if best is None or is_lost or self._is_doubtful(best[0]):
+        if best is None or is_lost or self._is_doubtful(best[0], expected, P):
             found = self._initialised_again(image, frame_s, R, abs(dt)) if self._searches_now(expected) else None
             if best is None or is_lost or found is not None:
                 return found
@@ -315,7 +325,7 @@ class FrameTracker:
         pose = replace(pose, rotation=nearest_equivalent_rotation(pose.rotation, R, self.view.symmetries))
         time_s = float(frame_s + self.view.exposure_delay_s(pose.position_m))
         self._update(pose, start, predicted, R, P, time_s, abs(dt) / (self.misses + 1))
-        self._candidates = [pose]
+        self._candidates = [pose, *self._candidates]
         return pose
 
     def _best_hypothesis(self, image: NDArray[np.float32], expected: State, P: Array) -> tuple[Pose, State] | None:
@@ -363,28 +373,10 @@ class FrameTracker:
         yield from islice(self._apart(states), MOST_DIRECT)
         refined = [(self._refined(image, state, coarse, None, edges_alone=True), state) for state, coarse in states]
         known = [(pose, state) for pose, state in refined if pose is not None]
-        costs = self._costs_of_edges(image, [pose for pose, _ in known])
+        costs = costs_on_one_window(self.view, image, [pose for pose, _ in known])
         for k in np.argsort(costs, kind="stable"):
             pose, state = known[k]
             yield replace(state, position_m=pose.position_m, quaternion=quat_from_matrix(pose.rotation)), 0
-
-    def _costs_of_edges(self, image: NDArray[np.float32], poses: list[Pose]) -> Array:
-        """(n,) costs of poses refined on edges, all on one window: on its own a pose beside the die explains its picture well."""
-        if not poses:
-            return np.zeros(0)
-        places, turns = np.array([pose.position_m for pose in poses]), np.array([pose.rotation for pose in poses])
-        camera = self.view.camera
-        about_m = self.view.die.solid.circumradius * np.array([*np.eye(3), *-np.eye(3)])
-        px = camera.project(places[:, None] + about_m)
-        px = px[np.isfinite(px).all(2)]
-        if not len(px):
-            return np.array([pose.cost for pose in poses])
-        size = camera.width_px, camera.height_px
-        x0, y0 = np.clip(px.min(0), 0, np.array(size) - 2).astype(int).tolist()
-        x1, y1 = np.clip(px.max(0) + 1.0, (x0 + 2, y0 + 2), size).astype(int).tolist()
-        first = image[0] if image.ndim == 3 else image
-        costs, _ = region_costs(self.view, first, (x0, y0, x1, y1), places, turns, WINDOW_SAMPLES)
-        return costs + SUPPORT_COST * (1.0 - np.array([pose.support for pose in poses]))
 
     def _apart(self, states: Iterable[tuple[State, int]]) -> Iterator[tuple[State, int]]:
         """Of states that draw nearly the same die the first."""
@@ -423,13 +415,9 @@ class FrameTracker:
     def _is_explained(self, pose: Pose, expected: State, P: Array) -> bool:
         """Whether something explains where the pose lies: the motion so far, a table near enough for an impact, or a picture that
         shows the die there beyond doubt. Poses of a half-hidden die are explained by none of these."""
-        reach = self.view.reach_m
-        distance = float(seen_distance_m(self.view.rig, pose.position_m, pose.position_m - expected.position_m, reach))
-        angle = angle_between(pose.rotation, expected.rotation)
-        high = self._is_high(expected, P)
+        reach, high = self.view.reach_m, self._is_high(expected, P)
         far_m = max((FIRST_POSES_REACH if high else NEW_FLIGHT_REACH) * reach, PREDICTED_SIGMAS * widest_sigma(P, 0))
-        far_rad = max(FIRST_POSES_RAD if high else NEW_FLIGHT_RAD, PREDICTED_SIGMAS * widest_sigma(P, 3))
-        if distance < far_m and angle < far_rad:
+        if self._is_as_predicted(pose, expected, P):
             return True
         dt = expected.time_s - float(self.clock[0])
         speed = float(np.linalg.norm(expected.velocity_m_s)) + reach * float(np.linalg.norm(expected.omega_rad_s))
@@ -443,6 +431,14 @@ class FrameTracker:
             allowed = SURFACE_EXCESS_SHARE * self.usual_cost if whole else SMALL_EXCESS_COST
             return is_clear or pose.cost < self.usual_cost + allowed
         return is_clear and self.misses >= LOST_FRAMES and pose.cost < self.usual_cost + ACCEPTED_EXCESS_COST
+
+    def _is_as_predicted(self, pose: Pose, expected: State, P: Array) -> bool:
+        """Whether a pose lies where the motion so far puts it."""
+        reach, high = self.view.reach_m, self._is_high(expected, P)
+        distance = float(seen_distance_m(self.view.rig, pose.position_m, pose.position_m - expected.position_m, reach))
+        far_m = max((FIRST_POSES_REACH if high else NEW_FLIGHT_REACH) * reach, PREDICTED_SIGMAS * widest_sigma(P, 0))
+        far_rad = max(FIRST_POSES_RAD if high else NEW_FLIGHT_RAD, PREDICTED_SIGMAS * widest_sigma(P, 3))
+        return distance < far_m and angle_between(pose.rotation, expected.rotation) < far_rad
 
     def _is_high(self, expected: State, P: Array) -> bool:
         """Whether the die flies too high above the table for an impact."""
@@ -464,9 +460,10 @@ class FrameTracker:
             q = quat_from_matrix(matrix_from_quat(quat_from_rotvec(TRIAL_TURN_RAD * axis)) @ last.rotation)
             yield State(time_s, half, q, np.zeros(3), np.zeros(3)), 4
 
-    def _is_doubtful(self, pose: Pose) -> bool:
+    def _is_doubtful(self, pose: Pose, expected: State, P: Array) -> bool:
         """Whether a pose explains its picture worse than those before, and no known motion supports it."""
-        return self.clock[2] < MIN_POSES_OF_FLIGHT and pose.cost > self.usual_cost + ACCEPTED_EXCESS_COST
+        is_supported = self.clock[2] >= MIN_POSES_OF_FLIGHT and self._is_as_predicted(pose, expected, P)
+        return not is_supported and pose.cost > self.usual_cost + ACCEPTED_EXCESS_COST
 
     def _searches_now(self, expected: State) -> bool:
         """Whether an initial pose is searched on this frame."""
@@ -484,8 +481,9 @@ class FrameTracker:
         ]
         self._candidates = sorted(found, key=lambda pose: pose.cost)[:MOST_CANDIDATES]
         enough = self.usual_cost + ACCEPTED_EXCESS_COST
-        clear = [pose for pose in self._candidates if pose.support > CLEAR_SUPPORT and pose.cost < enough]
-        if not clear:
+        others = [pose for pose in self._candidates[1:] if pose.cost < self._candidates[0].cost + AMBIGUOUS_COST]
+        clear = [pose for pose in self._candidates[:1] if pose.support > CLEAR_SUPPORT and pose.cost < enough]
+        if others or not clear:
             is_followed = bool(found) and len(self._surprising) < MIN_POSES_OF_FLIGHT - 1
             self._next_search = self.misses + (1 if is_followed else self._search_wait)
             self._search_wait = self._search_wait if is_followed else min(2 * self._search_wait, SEARCH_EVERY)
@@ -532,14 +530,10 @@ class FrameTracker:
         self._next_search, self._search_wait = 1, 1
 
     def _is_within_reach(self, pose: Pose, last: State, dt: float) -> bool:
-        """Whether the die can have come from the last pose to this one: no impact gives energy."""
-        if self.clock[2] < MIN_POSES_OF_FLIGHT:
-            return True
-        fastest = FASTEST_FACTOR_BACKWARDS if self.backwards else FASTEST_FACTOR
-        speed = float(np.linalg.norm(last.velocity_m_s)) + self.view.reach_m * float(np.linalg.norm(last.omega_rad_s))
-        far_m = (fastest * speed + GRAVITY_M_S2 * abs(dt)) * abs(dt) + NEW_FLIGHT_REACH * self.view.reach_m
-        sigma_m = widest_sigma(self.P, 0) if pose.covariance is None else widest_sigma(pose.covariance, 0)
-        return float(np.linalg.norm(pose.position_m - last.position_m)) < far_m + PREDICTED_SIGMAS * sigma_m
+        """Whether the die can have come from the last pose to this one, as the camera sees it."""
+        reach_m, fastest = self.view.reach_m, FASTEST_FACTOR_BACKWARDS if self.backwards else FASTEST_CENTRE_FACTOR
+        moved_m = seen_distance_m(self.view.rig, pose.position_m, pose.position_m - last.position_m, reach_m)
+        return float(moved_m) < (fastest * self._fastest_m_s + GRAVITY_M_S2 * abs(dt)) * abs(dt) + SEEN_REACH * reach_m
 
     def _update(
         self, pose: Pose, start: State, predicted: Array, R: Array, P: Array, time_s: float, frame_s: float

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from ...model.die import Die
 from ...model.throw import Flight, State
 from ...model.world import GRAVITY_M_S2
-from ..picture import View
-from ..pose import Pose, seen_distance_m
+from ..picture import SUPPORT_COST, View, region_costs
+from ..pose import Pose, same_picture, seen_distance_m
 from .labelling import even_rotation
 
 Array = NDArray[np.float64]
@@ -38,6 +38,8 @@ TOUCH_SHARE = 0.12
 """Height, as a share of an edge, below which a corner may touch the table between two frames."""
 NEAR_TABLE_SHARE = 0.35
 """Distance of a corner from the table, in edges, at which it may touch it, at low frame rates: the die is known that well."""
+WINDOW_SAMPLES = 6000
+"""Pixels of the window on which poses refined on edges are compared."""
 EVEN_REACH = 0.07
 """Departure of poses from a parabola as the camera sees it, in units of the die's reach, beyond which they are those of no
 flight."""
@@ -119,6 +121,25 @@ def different_rates(states: Iterable[State], dt: float) -> Array:
     return np.array(kept) if kept else np.zeros((0, 6))
 
 
+def costs_on_one_window(view: View, image: NDArray[np.float32], poses: list[Pose]) -> Array:
+    """(n,) costs of poses refined on edges, all on one window: on its own a pose beside the die explains its picture well."""
+    if not poses:
+        return np.zeros(0)
+    places, turns = np.array([pose.position_m for pose in poses]), np.array([pose.rotation for pose in poses])
+    camera = view.camera
+    about_m = view.die.solid.circumradius * np.array([*np.eye(3), *-np.eye(3)])
+    px = camera.project(places[:, None] + about_m)
+    px = px[np.isfinite(px).all(2)]
+    if not len(px):
+        return np.array([pose.cost for pose in poses])
+    size = camera.width_px, camera.height_px
+    x0, y0 = np.clip(px.min(0), 0, np.array(size) - 2).astype(int).tolist()
+    x1, y1 = np.clip(px.max(0) + 1.0, (x0 + 2, y0 + 2), size).astype(int).tolist()
+    first = image[0] if image.ndim == 3 else image
+    costs, _ = region_costs(view, first, (x0, y0, x1, y1), places, turns, WINDOW_SAMPLES)
+    return costs + SUPPORT_COST * (1.0 - np.array([pose.support for pose in poses]))
+
+
 @dataclass(frozen=True, eq=False)
 class MotionOfPoses:
     """A flight through poses of single pictures."""
@@ -134,23 +155,34 @@ class MotionOfPoses:
 
 
 def motion_of_poses(view: View, times_s: Array, candidates: list[list[Pose]]) -> MotionOfPoses | None:
-    """The flight on which one of the candidate poses of each picture lies, at frame times (n,) [s], n >= 3; of several the one
-    that explains the pictures best. None if there is none."""
+    """The flight on which one of the candidate poses of each picture lies, at frame times (n,) [s], n >= 3. None if there is
+    none, or another that leads to another pose."""
     tolerance_rad = float(np.cbrt(6.0 * np.pi * EVEN_CHANCE) / len(view.symmetries) ** (2.0 / 3.0))
+    found: MotionOfPoses | None = None
     for poses in sorted(product(*candidates), key=lambda some: sum(pose.cost for pose in some)):
-        position_m = np.array([pose.position_m for pose in poses])
-        time_s = times_s + view.exposure_delay_s(position_m)
-        passed_s = time_s - time_s[-1]
-        line = position_m + 0.5 * GRAVITY_M_S2 * passed_s[:, None] ** 2 * np.array([0.0, 0.0, 1.0])
-        fitted, *_ = np.linalg.lstsq(np.stack([np.ones_like(passed_s), passed_s], 1), line, rcond=None)
-        off_m = line - fitted[0] - passed_s[:, None] * fitted[1]
-        if any(
-            seen_distance_m(view.rig, p, off, view.reach_m) > EVEN_REACH * view.reach_m
-            for p, off in zip(position_m, off_m, strict=True)
-        ):
+        motion = _motion_through(view, times_s, poses, tolerance_rad)
+        if motion is None:
             continue
-        even = even_rotation(np.array([pose.rotation for pose in poses]), time_s, view.symmetries, tolerance_rad)
-        if even is not None:
-            labelled = tuple(replace(pose, rotation=R) for pose, R in zip(poses, even[0], strict=True))
-            return MotionOfPoses(labelled, time_s, fitted[1], even[1])
-    return None
+        if found is None:
+            found = motion
+        elif not same_picture(view, *((p.position_m, p.rotation) for p in (found.poses[-1], motion.poses[-1]))):
+            return None
+    return found
+
+
+def _motion_through(view: View, times_s: Array, poses: tuple[Pose, ...], tolerance_rad: float) -> MotionOfPoses | None:
+    """The flight through some poses at frame times (n,) [s]; None if they lie on none."""
+    position_m = np.array([pose.position_m for pose in poses])
+    time_s = times_s + view.exposure_delay_s(position_m)
+    passed_s = time_s - time_s[-1]
+    line = position_m + 0.5 * GRAVITY_M_S2 * passed_s[:, None] ** 2 * np.array([0.0, 0.0, 1.0])
+    fitted, *_ = np.linalg.lstsq(np.stack([np.ones_like(passed_s), passed_s], 1), line, rcond=None)
+    off_m = line - fitted[0] - passed_s[:, None] * fitted[1]
+    seen_m = [seen_distance_m(view.rig, p, off, view.reach_m) for p, off in zip(position_m, off_m, strict=True)]
+    if max(seen_m) > EVEN_REACH * view.reach_m:
+        return None
+    even = even_rotation(np.array([pose.rotation for pose in poses]), time_s, view.symmetries, tolerance_rad)
+    if even is None:
+        return None
+    labelled = tuple(replace(pose, rotation=R) for pose, R in zip(poses, even[0], strict=True))
+    return MotionOfPoses(labelled, time_s, fitted[1], even[1])

@@ -38,8 +38,9 @@ from ..pose import (
     weak_priors,
 )
 from ..throw import TABLE_REACH
-from .acceptance import HEIGHT_SIGMAS
-from .frame_to_frame import FrameTracker
+from .acceptance import HEIGHT_SIGMAS, MIN_POSES_OF_FLIGHT
+from .frame_to_frame import MOST_CANDIDATES, FrameTracker
+from .impact_trials import motion_of_poses
 from .motion_filter import lowest_m
 
 Array = NDArray[np.float64]
@@ -304,10 +305,22 @@ def _on_clip(hypothesis: Hypothesis, source: FrameSource, k: int, unused: Mask) 
 def best_hypothesis(view: View, source: FrameSource, k: int, unused: Mask) -> Hypothesis | None:
     """The hypothesis on frame k that the frames after it support best; None if they support none."""
     left = min(STAGES[-1], _frames_ahead(unused, k))
-    image, rate_px_s = np.asarray(source.frame(k), np.float32), _rate_px_s(view, source, k, unused)
-    hypotheses = [
-        _new_hypothesis(view, source, k, pose, unused, rate_px_s) for _, pose in pose_candidates(view, image, rate_px_s)
-    ]
+    rate_px_s = _rate_px_s(view, source, k, unused)
+    poses = _candidates(view, source, k, rate_px_s)
+    found = _race(view, source, k, [_new_hypothesis(view, source, k, pose, unused, rate_px_s) for pose in poses], left)
+    if found is None and poses and left > MIN_POSES_OF_FLIGHT:
+        moving = _moving_hypothesis(view, source, k, poses, unused)
+        found = None if moving is None else _race(view, source, k, [moving], left)
+    return found
+
+
+def _candidates(view: View, source: FrameSource, k: int, rate_px_s: Array) -> list[Pose]:
+    """Candidate poses of frame k."""
+    return [pose for _, pose in pose_candidates(view, np.asarray(source.frame(k), np.float32), rate_px_s)]
+
+
+def _race(view: View, source: FrameSource, k: int, hypotheses: list[Hypothesis], left: int) -> Hypothesis | None:
+    """The best of some hypotheses that begin on frame k, tracked stage by stage over the frames left; None if all are lost."""
     for stage in sorted({min(stage, left) for stage in STAGES}):
         scored = [(h, score) for h in hypotheses if (score := _tracked_to(h, view, source, k, stage)) is not None]
         # Past an impact no hypothesis moves evenly: of those still on the die, the one that led before it has won.
@@ -377,6 +390,32 @@ def _new_hypothesis(view: View, source: FrameSource, k: int, pose: Pose, unused:
         velocity_m_s=velocity_across_m_s(view, pose.position_m, rate_px_s),
     )
     return Hypothesis(tracker, poses, Score(pose.cost_with_edge_noise))
+
+
+def _moving_hypothesis(view: View, source: FrameSource, k: int, poses: list[Pose], unused: Mask) -> Hypothesis | None:
+    """The hypothesis through some pose of frame k and poses that the next pictures show by themselves. A die may turn so far from
+    frame to frame that no pose leads to the next without its spin."""
+    rows = k + np.arange(MIN_POSES_OF_FLIGHT)
+    if unused[rows].any():
+        return None
+    candidates = [
+        poses,
+        *(_candidates(view, source, int(row), _rate_px_s(view, source, int(row), unused)) for row in rows[1:]),
+    ]
+    cheapest = [sorted(some, key=lambda pose: pose.cost)[:MOST_CANDIDATES] for some in candidates]
+    motion = motion_of_poses(view, source.times_s[rows], cheapest)
+    if motion is None:
+        return None
+    rates, found = (
+        np.concatenate([motion.velocity_m_s, motion.omega_rad_s]),
+        ClipPoses.empty(min(STAGES[-1], len(source) - k)),
+    )
+    for row, pose in enumerate(motion.poses):
+        found.put(row, pose, rates)
+    last, times_s = MIN_POSES_OF_FLIGHT - 1, source.times_s[k:]
+    tracker = FrameTracker.from_pose(view, motion.poses[-1], times_s, last, unused[k:], rates)
+    tracker.clock[2] = MIN_POSES_OF_FLIGHT
+    return Hypothesis(tracker, found, Score(motion.poses[0].cost_with_edge_noise))
 
 
 def _tracked_to(hypothesis: Hypothesis, view: View, source: FrameSource, k: int, stage: int) -> Score | None:

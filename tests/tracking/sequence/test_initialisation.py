@@ -15,7 +15,7 @@ from diethrow.files.scene import read_scene
 from diethrow.model.die.symmetry import symmetry_rotations
 from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import angle_between, matrix_from_quat
-from diethrow.model.throw.motion import State, Throw
+from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.footage.background import load_background
 from diethrow.tracking.footage.clip import open_clip
@@ -100,6 +100,29 @@ def test_a_clip_may_begin_at_any_frame() -> None:
         assert begun is not None
         assert np.flatnonzero(begun[1].known)[0] >= k
         assert share_right(view, begun[1], source.times_s, throw) == 1.0
+
+
+@pytest.mark.parametrize("shape", ["tetrahedron", "dodecahedron"])
+def test_a_die_that_turns_by_more_than_its_symmetry_from_frame_to_frame_is_found(shape: str) -> None:
+    """70 degrees a frame at 240 frames per second: no pose leads to the next without the spin, which three pictures show."""
+    room, fps, frames = replace(studio(), noise_grey=2.0), 240.0, 12
+    spin = np.radians(70.0) * fps * np.array([0.6, -0.64, 0.48])
+    start = State(
+        0.0,
+        np.array([-0.008, 0.0, 0.028]),
+        random_quaternion(np.random.default_rng(3)),
+        np.array([0.3, 0.1, 0.2]),
+        spin,
+    )
+    throw = Throw((Flight(start, np.inf),), ())
+    view, source = room.view(DICE[shape]), FrameSource([film(room, DICE[shape], throw, frames, fps=fps)])
+    begun = find_initial_pose(view, source, np.zeros(frames, bool))
+    assert begun is not None
+    tracker, seen = begun
+    tracker.track_to_end(source, seen, lambda frame: None, all_frames=True)
+    assert seen.known.sum() >= 8
+    assert share_right(view, seen, source.times_s, throw) == 1.0
+    assert np.linalg.norm(tracker.motion[6:] - spin) < 0.02 * np.linalg.norm(spin)
 
 
 def test_a_small_die_in_a_sharp_picture_is_found() -> None:
