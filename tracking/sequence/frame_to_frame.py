@@ -2,7 +2,8 @@
 
 In flight the compiled `motion_filter.track_frames` predicts the pose from the motion so far, refines and judges it; it stops
 where picture and motion disagree. There several initial poses compete: impacts of several strengths on each low corner, the last
-pose, and rotations about it. The pose that explains the picture best is taken, and tracking continues from there."""
+pose, and rotations about it. The pose that explains the picture best is taken, and tracking continues from there. Where none does,
+initial poses are searched in the picture by itself, and three such pictures in a row give the motion."""
 
 from __future__ import annotations
 

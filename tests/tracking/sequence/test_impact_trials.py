@@ -7,12 +7,21 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from random_throws import DICE, state_difference
+from footage_of_throws import DICE as SEEN_DICE
+from footage_of_throws import studio
+from random_throws import DICE, random_quaternion, state_difference
 from throws import random_release, true_throw
 
-from diethrow.model.throw import Flight
+from diethrow.model.throw import Flight, State
+from diethrow.tracking.picture import PARAMETERS, STATISTICS
+from diethrow.tracking.pose import Pose
 from diethrow.tracking.quality import STANDARD
-from diethrow.tracking.sequence.impact_trials import TRIAL_SPACING_RAD, beyond_impacts, different_rates
+from diethrow.tracking.sequence.impact_trials import (
+    TRIAL_SPACING_RAD,
+    beyond_impacts,
+    different_rates,
+    motion_of_poses,
+)
 
 THROWS = 25
 NEAR_RAD = 1.25 * TRIAL_SPACING_RAD
@@ -61,3 +70,54 @@ def test_rates_that_turn_the_die_alike_are_one() -> None:
     assert 1 <= len(rates) < len(states)
     assert apart[~np.eye(len(rates), dtype=bool)].min(initial=np.inf) > 0.5 * TRIAL_SPACING_RAD
     assert different_rates([], 1.0).shape == (0, 6)
+
+
+def single_pose(state: State, cost: float) -> Pose:
+    """A pose that one picture shows, as far as the motion needs it."""
+    nothing = np.zeros((PARAMETERS, PARAMETERS))
+    return Pose(
+        state.position_m, state.rotation, np.eye(6), np.zeros((6, 1)), 0.0, 1.0, 100.0, 0.0, cost, nothing, np.zeros(STATISTICS)
+    )  # fmt: skip
+
+
+def fast_flight(seed: int) -> Flight:
+    """A die that turns by 60 degrees a frame at 240 frames per second."""
+    rng = np.random.default_rng(seed)
+    axis = rng.normal(size=3)
+    spin = np.radians(60.0) * 240.0 * axis / np.linalg.norm(axis)
+    start = State(0.0, np.array([0.0, 0.0, 0.02]), random_quaternion(rng), rng.normal(scale=0.2, size=3), spin)
+    return Flight(start, np.inf)
+
+
+@pytest.mark.parametrize("shape", ["cube", "tetrahedron", "icosahedron"])
+def test_of_the_poses_that_three_pictures_show_those_of_one_flight_give_the_motion(shape: str) -> None:
+    """Wrong poses cost less on every picture, and lie on no flight."""
+    view, times_s = studio().view(SEEN_DICE[shape]), np.arange(3) / 240.0
+    for seed in range(5):
+        flight, rng = fast_flight(seed), np.random.default_rng([7, seed])
+        candidates = []
+        for time_s in times_s:
+            state = flight.at(float(time_s))
+            wrong = replace(
+                state, quaternion=random_quaternion(rng), position_m=state.position_m + rng.normal(scale=3e-3, size=3)
+            )
+            label = view.symmetries[rng.integers(len(view.symmetries))]
+            relabelled = replace(single_pose(state, 3.0), rotation=state.rotation @ label)
+            candidates.append([single_pose(wrong, 2.0), relabelled])
+        found = motion_of_poses(view, times_s, candidates)
+        assert found is not None
+        assert all(pose.cost == 3.0 for pose in found.poses)
+        last = flight.at(float(times_s[-1]))
+        np.testing.assert_allclose(found.velocity_m_s, last.velocity_m_s, atol=1e-9)
+        assert np.linalg.norm(found.omega_rad_s - last.omega_rad_s) < 1e-6 * np.linalg.norm(last.omega_rad_s)
+
+
+def test_poses_that_lie_on_two_flights_give_no_motion() -> None:
+    view, times_s = studio().view(SEEN_DICE["tetrahedron"]), np.arange(3) / 240.0
+    first, second = fast_flight(1), fast_flight(2)
+    turned = Flight(
+        replace(second.start, position_m=first.start.position_m, velocity_m_s=first.start.velocity_m_s), np.inf
+    )
+    candidates = [[single_pose(flight.at(float(t)), 2.0) for flight in (first, turned)] for t in times_s]
+    assert motion_of_poses(view, times_s, candidates) is None
+    assert motion_of_poses(view, times_s, [some[:1] for some in candidates]) is not None
