@@ -44,3 +44,27 @@ HEIGHT_SIGMAS = 3.0
 """Standard errors of the prediction by which it must be higher."""
 PRIOR_SIGMAS = 4.0
 """Width of the prior of a refinement, in standard errors of the prediction: wide enough not to hold a bounce back."""
+
+PREDICTED_SIGMAS = 3.0
+"""Standard errors of the prediction up to which a pose belongs to its flight; the larger bound of this and `NEW_FLIGHT_REACH`
+counts."""
+SMALL_EXCESS_COST = 0.05
+"""Cost above the usual up to which a hypothesis ends the search for a better one."""
+SURFACE_EXCESS_SHARE = 0.25
+"""Cost above the usual, as a share of it, up to which a pose after an impact is accepted if the whole surface is compared: it
+varies with the faces in view. Right poses on two clips, one of them in H.264, came to a seventh."""
+CLEAR_SUPPORT = 0.8
+"""Share of the contour with a clear step that shows a die beyond doubt: a rod in front of it takes away more."""
+FASTEST_FACTOR = 1.5
+"""Speed of the die's points after an impact over that before, at the most: no impact gives energy."""
+FASTEST_CENTRE_FACTOR = 1.1
+"""The same of its centre over the speed at which it would fly with all its energy."""
+FASTEST_M_S = 5.0
+"""Speed of a die of which nothing is known: a fall from more than a metre."""
+SEEN_REACH = 0.07
+"""Error of the place of single poses, as the camera sees it, in units of the die's reach."""
+FASTEST_FACTOR_BACKWARDS = 4.0
+"""Speed before an impact over that after, at the most. A corner alone may lose more: a restitution of 0.15 leaves a seventh."""
+AMBIGUOUS_COST = 0.5
+"""Cost above the least up to which other poses of a picture leave open which is right. Of a tetrahedron that turns one face to
+the camera wrong poses cost 0.4 less than the right one."""

@@ -2,8 +2,8 @@
 
 In flight the compiled `motion_filter.track_frames` predicts the pose from the motion so far, refines and judges it; it stops
 where picture and motion disagree. There several initial poses compete: impacts of several strengths on each low corner, the last
-pose, and rotations about it. The pose that explains the picture best is taken, and tracking continues from there. Where none does,
-initial poses are searched in the picture by itself, and three such pictures in a row give the motion."""
+pose, and rotations about it. The pose that explains the picture best is taken, and tracking continues from there. Where none
+does, initial poses are searched in the picture by itself, and three such pictures in a row give the motion."""
 
 from __future__ import annotations
 
@@ -46,7 +46,13 @@ from ..pose import (
 from ..throw import SMALL_MOVE_REACH, SMALL_TURN_RAD
 from .acceptance import (
     ACCEPTED_EXCESS_COST,
+    AMBIGUOUS_COST,
     BOUNCE_REACH,
+    CLEAR_SUPPORT,
+    FASTEST_CENTRE_FACTOR,
+    FASTEST_FACTOR,
+    FASTEST_FACTOR_BACKWARDS,
+    FASTEST_M_S,
     HEIGHT_SIGMAS,
     KNOWN_RAD,
     MAX_EXCESS_COST,
@@ -56,9 +62,20 @@ from .acceptance import (
     NEW_FLIGHT_RAD,
     NEW_FLIGHT_REACH,
     ON_PATH_CHI2,
+    PREDICTED_SIGMAS,
+    SEEN_REACH,
+    SMALL_EXCESS_COST,
+    SURFACE_EXCESS_SHARE,
     USUAL_COST_FRAMES,
 )
-from .impact_trials import beyond_impacts, costs_on_one_window, different_rates, motion_of_poses
+from .impact_trials import (
+    MotionOfPoses,
+    beyond_impacts,
+    costs_on_one_window,
+    different_rates,
+    initial_covariance,
+    motion_of_poses,
+)
 from .motion_filter import (
     FIRST_POSES_RAD,
     FIRST_POSES_REACH,
@@ -82,16 +99,8 @@ BOUNCED_REACH = 0.07
 """UNKNOWN_REACH after an impact whose strength is guessed."""
 BOUNCED_RAD = 0.07
 """UNKNOWN_RAD after an impact whose strength is guessed."""
-PREDICTED_SIGMAS = 3.0
-"""Standard errors of the prediction up to which a pose belongs to its flight; the larger bound of this and `NEW_FLIGHT_REACH`
-counts."""
-SMALL_EXCESS_COST = 0.05
-"""Cost above the usual up to which a hypothesis ends the search for a better one."""
 LEAST_IMPROVEMENT = 0.02
 """Cost by which a later hypothesis must be better: it departs further from the prediction."""
-SURFACE_EXCESS_SHARE = 0.25
-"""Cost above the usual, as a share of it, up to which a pose after an impact is accepted if the whole surface is compared: it
-varies with the faces in view. Right poses on two clips, one of them in H.264, came to a seventh."""
 IMPACT_SURFACE_TRIALS = 14
 """Most hypotheses whose pose is refined on the whole surface of a well-rounded die."""
 MOST_DIRECT = 4
@@ -102,30 +111,15 @@ REFINED_ANEW = 4
 """Hypotheses that are refined again if none explains the picture as usual: the few steps from afar may not have been enough."""
 IMPACT_APART_EDGES = 0.06
 """Distance of corners, in edges, from which two of these lie apart."""
-CLEAR_SUPPORT = 0.8
-"""Share of the contour with a clear step that shows a die beyond doubt: a rod in front of it takes away more."""
 LOST_FRAMES = 2
 """Frames without a pose after which a die high above the table may be found off its path: the motion was wrong."""
-FASTEST_FACTOR = 1.5
-"""Speed of the die's points after an impact over that before, at the most: no impact gives energy."""
-FASTEST_CENTRE_FACTOR = 1.1
-"""The same of its centre over the speed at which it would fly with all its energy."""
-SEEN_REACH = 0.07
-"""Error of the place of single poses, as the camera sees it, in units of the die's reach."""
-FASTEST_FACTOR_BACKWARDS = 4.0
-"""Speed before an impact over that after, at the most. A corner alone may lose more: a restitution of 0.15 leaves a seventh."""
 SEARCH_EVERY = 6
 """Frames without a pose between searches for an initial pose, at the most: first comes one at once, and each that fails doubles
 the distance to the next."""
 BACKWARDS_MISSES = 3
 """Frames without a pose after which tracking backwards ends."""
-POSE_VARIANCE_FACTOR = 4.0
-"""Factor on the covariance of a pose that starts a motion: twice its standard errors."""
 MOST_CANDIDATES = 4
 """Poses of one picture that may lie on the motion behind an impact."""
-AMBIGUOUS_COST = 0.5
-"""Cost above the least up to which other poses of a picture leave open which is right. Of a tetrahedron that turns one face to
-the camera wrong poses cost 0.4 less than the right one."""
 MIN_POSES_TO_SKIP = 20
 """Poses of a flight, or since a surprise, before frames are skipped: the motion averages over as many."""
 MAX_PREDICTION_SIGMA_PX = 0.3
@@ -175,7 +169,7 @@ class FrameTracker:
         near = times_s[max(k - 1, 0) : k + 2]
         frame_s = float(np.abs(np.diff(near)).mean()) if len(near) > 1 else 1.0
         reach, rad = (UNKNOWN_REACH, UNKNOWN_RAD) if rates is None else (BOUNCED_REACH, BOUNCED_RAD)
-        P = _initial_covariance(view, pose, frame_s, reach, rad)
+        P = initial_covariance(view, pose, frame_s, reach, rad)
         if rates is None:
             rates = np.concatenate([np.zeros(3) if velocity_m_s is None else velocity_m_s, np.zeros(3)])
         motion = np.concatenate([pose.position_m, rates])
@@ -319,7 +313,11 @@ class FrameTracker:
         is_lost = best is None or not self._is_acceptable(best[0]) or not self._is_explained(best[0], expected, P)
         self.misses += is_lost
         if best is None or is_lost or self._is_doubtful(best[0], expected, P):
-            found = self._initialised_again(image, frame_s, R, abs(dt)) if self._searches_now(expected) else None
+            better = best[0].cost - ACCEPTED_EXCESS_COST if best is not None and not is_lost else np.inf
+            enough = min(self.usual_cost + ACCEPTED_EXCESS_COST, better)
+            found = (
+                self._initialised_again(image, frame_s, R, abs(dt), enough) if self._searches_now(expected) else None
+            )
             if best is None or is_lost or found is not None:
                 return found
         pose, start = best
@@ -471,9 +469,11 @@ class FrameTracker:
         due = self.misses == 0 or self.misses >= self._next_search
         return self.searches and due and share_in_view(self.view, expected.position_m, expected.rotation) == 1.0
 
-    def _initialised_again(self, image: NDArray[np.float32], time_s: float, R: Array, passed_s: float) -> Pose | None:
-        """A new initial pose where the die was lost, some time after the last pose; None if none is clear. Two on consecutive
-        frames give the velocities."""
+    def _initialised_again(
+        self, image: NDArray[np.float32], time_s: float, R: Array, passed_s: float, enough: float
+    ) -> Pose | None:
+        """A new initial pose where the die was lost, some time after the last pose; None if none is clear and costs less than
+        `enough`. Two on consecutive frames give the velocities."""
         last = _state(float(self.clock[0]), self.motion, self.rotation)
         found = [
             replace(pose, rotation=nearest_equivalent_rotation(pose.rotation, R, self.view.symmetries))
@@ -481,8 +481,8 @@ class FrameTracker:
             if self._is_acceptable(pose) and self._is_within_reach(pose, last, time_s - last.time_s)
         ]
         self._candidates = sorted(found, key=lambda pose: pose.cost)[:MOST_CANDIDATES]
-        enough = self.usual_cost + ACCEPTED_EXCESS_COST
-        others = [pose for pose in self._candidates[1:] if pose.cost < self._candidates[0].cost + AMBIGUOUS_COST]
+        best = self._candidates[0] if found else None
+        others = [pose for pose in self._candidates[1:] if best and self._rivals(best, pose)]
         clear = [pose for pose in self._candidates[:1] if pose.support > CLEAR_SUPPORT and pose.cost < enough]
         if others or not clear:
             is_followed = bool(found) and len(self._surprising) < MIN_POSES_OF_FLIGHT - 1
@@ -498,7 +498,7 @@ class FrameTracker:
             rates = np.concatenate([pose.position_m - last.position_m, turn]) / dt
         self.motion = np.concatenate([pose.position_m, rates])
         self.rotation = pose.rotation.copy()
-        self.P = _initial_covariance(self.view, pose, passed_s / max(self.misses, 1), reach, rad)
+        self.P = initial_covariance(self.view, pose, passed_s / max(self.misses, 1), reach, rad)
         self.clock = np.array([exposed_s, self.usual_cost, 1.0])
         self._forget_loss()
         return pose
@@ -513,22 +513,36 @@ class FrameTracker:
         if is_known or len(self._surprising) < MIN_POSES_OF_FLIGHT:
             return
         rows = [row for row, _ in self._surprising]
-        found = motion_of_poses(self.view, times_s[rows], [candidates for _, candidates in self._surprising])
+        fastest_m_s = min(self._fastest_m_s, FASTEST_M_S) * (FASTEST_FACTOR_BACKWARDS if self.backwards else 1.0)
+        found = motion_of_poses(
+            self.view, times_s[rows], [candidates for _, candidates in self._surprising], fastest_m_s
+        )
         if found is None:
             return
-        rates, last = np.concatenate([found.velocity_m_s, found.omega_rad_s]), found.poses[-1]
         for row, pose in zip(rows, found.poses, strict=True):
-            poses.put(row, pose, rates)
-        frame_s = float(abs(found.time_s[-1] - found.time_s[0])) / (len(rows) - 1)
-        self.motion, self.rotation = np.concatenate([last.position_m, rates]), last.rotation.copy()
-        self.P = _initial_covariance(self.view, last, frame_s, BOUNCED_REACH, BOUNCED_RAD)
-        self.clock = np.array([found.time_s[-1], self.usual_cost, float(len(rows))])
+            poses.put(row, pose, found.motion[3:])
+        self.follow(found)
+
+    def follow(self, found: MotionOfPoses) -> None:
+        """Go on from a flight through poses of single pictures."""
+        last, n = found.poses[-1], len(found.poses)
+        frame_s = float(abs(found.time_s[-1] - found.time_s[0])) / (n - 1)
+        self.motion, self.rotation = found.motion.copy(), last.rotation.copy()
+        self.P = initial_covariance(self.view, last, frame_s, BOUNCED_REACH, BOUNCED_RAD)
+        moving = np.r_[0:3, 6:9]
+        self.P[np.ix_(moving, moving)] = found.covariance
+        self.clock = np.array([found.time_s[-1], self.usual_cost, float(n)])
         self._forget_loss()
 
     def _forget_loss(self) -> None:
         """The die is known again."""
         self.misses, self._rates_after_impact = 0, np.zeros((0, 6))
         self._next_search, self._search_wait = 1, 1
+
+    def _rivals(self, best: Pose, other: Pose) -> bool:
+        """Whether another pose of a picture leaves open which is right."""
+        here, there = ((pose.position_m, pose.rotation) for pose in (best, other))
+        return other.cost < best.cost + AMBIGUOUS_COST and not same_picture(self.view, here, there)
 
     def _is_within_reach(self, pose: Pose, last: State, dt: float) -> bool:
         """Whether the die can have come from the last pose to this one, as the camera sees it."""
@@ -557,7 +571,7 @@ class FrameTracker:
             has_rates = np.any(start.velocity_m_s != 0.0)
             reach, rad = (BOUNCED_REACH, BOUNCED_RAD) if has_rates else (UNKNOWN_REACH, UNKNOWN_RAD)
             self.motion = np.concatenate([pose.position_m, start.velocity_m_s, start.omega_rad_s])
-            self.rotation, self.P = pose.rotation.copy(), _initial_covariance(self.view, pose, frame_s, reach, rad)
+            self.rotation, self.P = pose.rotation.copy(), initial_covariance(self.view, pose, frame_s, reach, rad)
             count = 0.0
         else:
             motion, self._rates_after_impact = predicted, np.zeros((0, 6))
@@ -589,14 +603,3 @@ def widest_sigma(P: Array, first: int) -> float:
     """The largest standard deviation of three numbers of a motion, from its covariance (12, 12). Predicted back to where they
     were known, variances cancel, and rounding may make them negative."""
     return float(np.sqrt(max(np.diag(P)[first : first + 3].max(), 0.0)))
-
-
-def _initial_covariance(view: View, pose: Pose, frame_s: float, reach: float, rad: float) -> Array:
-    """Covariance (12, 12) of a motion whose velocities are guesses, with these standard deviations per frame interval, in
-    circumradii and in radians."""
-    P = np.zeros((12, 12))
-    known = pose.covariance
-    P[:6, :6] = POSE_VARIANCE_FACTOR * known if known is not None else 0.0
-    P[6:9, 6:9] = np.eye(3) * (reach * view.reach_m / frame_s) ** 2
-    P[9:, 9:] = np.eye(3) * (rad / frame_s) ** 2
-    return P

@@ -40,6 +40,8 @@ NEAR_TABLE_SHARE = 0.35
 """Distance of a corner from the table, in edges, at which it may touch it, at low frame rates: the die is known that well."""
 WINDOW_SAMPLES = 6000
 """Pixels of the window on which poses refined on edges are compared."""
+POSE_VARIANCE_FACTOR = 4.0
+"""Factor on the covariance of a pose that starts a motion: twice its standard errors."""
 EVEN_REACH = 0.07
 """Departure of poses from a parabola as the camera sees it, in units of the die's reach, beyond which they are those of no
 flight."""
@@ -148,19 +150,22 @@ class MotionOfPoses:
     """One for each picture, labelled alike."""
     time_s: Array
     """(n,) instants of exposure."""
-    velocity_m_s: Array
-    """(3,) at the last of them."""
-    omega_rad_s: Array
-    """(3,)"""
+    motion: Array
+    """(9,) position [m], velocity [m/s] and spin [rad/s] at the last of them."""
+    covariance: Array
+    """(6, 6) of position and velocity."""
 
 
-def motion_of_poses(view: View, times_s: Array, candidates: list[list[Pose]]) -> MotionOfPoses | None:
+def motion_of_poses(
+    view: View, times_s: Array, candidates: list[list[Pose]], fastest_m_s: float
+) -> MotionOfPoses | None:
     """The flight on which one of the candidate poses of each picture lies, at frame times (n,) [s], n >= 3. None if there is
-    none, or another that leads to another pose."""
+    none, or another that leads to another pose. `fastest_m_s` is the speed that the die can have: single pictures leave the
+    velocity along the line of sight open."""
     tolerance_rad = float(np.cbrt(6.0 * np.pi * EVEN_CHANCE) / len(view.symmetries) ** (2.0 / 3.0))
     found: MotionOfPoses | None = None
     for poses in sorted(product(*candidates), key=lambda some: sum(pose.cost for pose in some)):
-        motion = _motion_through(view, times_s, poses, tolerance_rad)
+        motion = _motion_through(view, times_s, poses, tolerance_rad, fastest_m_s)
         if motion is None:
             continue
         if found is None:
@@ -170,14 +175,26 @@ def motion_of_poses(view: View, times_s: Array, candidates: list[list[Pose]]) ->
     return found
 
 
-def _motion_through(view: View, times_s: Array, poses: tuple[Pose, ...], tolerance_rad: float) -> MotionOfPoses | None:
+def _motion_through(
+    view: View, times_s: Array, poses: tuple[Pose, ...], tolerance_rad: float, fastest_m_s: float
+) -> MotionOfPoses | None:
     """The flight through some poses at frame times (n,) [s]; None if they lie on none."""
     position_m = np.array([pose.position_m for pose in poses])
     time_s = times_s + view.exposure_delay_s(position_m)
     passed_s = time_s - time_s[-1]
-    line = position_m + 0.5 * GRAVITY_M_S2 * passed_s[:, None] ** 2 * np.array([0.0, 0.0, 1.0])
-    fitted, *_ = np.linalg.lstsq(np.stack([np.ones_like(passed_s), passed_s], 1), line, rcond=None)
-    off_m = line - fitted[0] - passed_s[:, None] * fitted[1]
+    without_fall = position_m + 0.5 * GRAVITY_M_S2 * passed_s[:, None] ** 2 * np.array([0.0, 0.0, 1.0])
+    H, g = np.zeros((6, 6)), np.zeros(6)
+    H[3:, 3:] = np.eye(3) / fastest_m_s**2
+    for pose, dt, place in zip(poses, passed_s, without_fall, strict=True):
+        if pose.covariance is None:
+            return None
+        J = np.hstack([np.eye(3), dt * np.eye(3)])
+        information = np.linalg.inv(POSE_VARIANCE_FACTOR * pose.covariance[:3, :3])
+        H += J.T @ information @ J
+        g += J.T @ information @ place
+    covariance = np.linalg.inv(H)
+    fitted = covariance @ g
+    off_m = without_fall - fitted[:3] - passed_s[:, None] * fitted[3:]
     seen_m = [seen_distance_m(view.rig, p, off, view.reach_m) for p, off in zip(position_m, off_m, strict=True)]
     if max(seen_m) > EVEN_REACH * view.reach_m:
         return None
@@ -185,4 +202,15 @@ def _motion_through(view: View, times_s: Array, poses: tuple[Pose, ...], toleran
     if even is None:
         return None
     labelled = tuple(replace(pose, rotation=R) for pose, R in zip(poses, even[0], strict=True))
-    return MotionOfPoses(labelled, time_s, fitted[1], even[1])
+    return MotionOfPoses(labelled, time_s, np.concatenate([fitted, even[1]]), covariance)
+
+
+def initial_covariance(view: View, pose: Pose, frame_s: float, reach: float, rad: float) -> Array:
+    """Covariance (12, 12) of a motion whose velocities are guesses, with these standard deviations per frame interval, in
+    circumradii and in radians."""
+    P = np.zeros((12, 12))
+    known = pose.covariance
+    P[:6, :6] = POSE_VARIANCE_FACTOR * known if known is not None else 0.0
+    P[6:9, 6:9] = np.eye(3) * (reach * view.reach_m / frame_s) ** 2
+    P[9:, 9:] = np.eye(3) * (rad / frame_s) ** 2
+    return P

@@ -38,7 +38,7 @@ from ..pose import (
     weak_priors,
 )
 from ..throw import TABLE_REACH
-from .acceptance import HEIGHT_SIGMAS, MIN_POSES_OF_FLIGHT
+from .acceptance import FASTEST_M_S, HEIGHT_SIGMAS, MIN_POSES_OF_FLIGHT
 from .frame_to_frame import MOST_CANDIDATES, FrameTracker
 from .impact_trials import motion_of_poses
 from .motion_filter import lowest_m
@@ -403,18 +403,14 @@ def _moving_hypothesis(view: View, source: FrameSource, k: int, poses: list[Pose
         *(_candidates(view, source, int(row), _rate_px_s(view, source, int(row), unused)) for row in rows[1:]),
     ]
     cheapest = [sorted(some, key=lambda pose: pose.cost)[:MOST_CANDIDATES] for some in candidates]
-    motion = motion_of_poses(view, source.times_s[rows], cheapest)
+    motion = motion_of_poses(view, source.times_s[rows], cheapest, FASTEST_M_S)
     if motion is None:
         return None
-    rates, found = (
-        np.concatenate([motion.velocity_m_s, motion.omega_rad_s]),
-        ClipPoses.empty(min(STAGES[-1], len(source) - k)),
-    )
+    found, last, times_s = ClipPoses.empty(min(STAGES[-1], len(source) - k)), len(rows) - 1, source.times_s[k:]
     for row, pose in enumerate(motion.poses):
-        found.put(row, pose, rates)
-    last, times_s = MIN_POSES_OF_FLIGHT - 1, source.times_s[k:]
-    tracker = FrameTracker.from_pose(view, motion.poses[-1], times_s, last, unused[k:], rates)
-    tracker.clock[2] = MIN_POSES_OF_FLIGHT
+        found.put(row, pose, motion.motion[3:])
+    tracker = FrameTracker.from_pose(view, motion.poses[-1], times_s, last, unused[k:])
+    tracker.follow(motion)
     return Hypothesis(tracker, found, Score(motion.poses[0].cost_with_edge_noise))
 
 
