@@ -437,7 +437,7 @@ class FrameTracker:
         distance = float(seen_distance_m(self.view.rig, pose.position_m, pose.position_m - expected.position_m, reach))
         far_m = max((FIRST_POSES_REACH if high else NEW_FLIGHT_REACH) * reach, PREDICTED_SIGMAS * widest_sigma(P, 0))
         far_rad = max(FIRST_POSES_RAD if high else NEW_FLIGHT_RAD, PREDICTED_SIGMAS * widest_sigma(P, 3))
-        return distance < far_m and angle_between(pose.rotation, expected.rotation) < far_rad
+        return distance < far_m and float(angle_between(pose.rotation, expected.rotation)) < far_rad
 
     def _is_high(self, expected: State, P: Array) -> bool:
         """Whether the die flies too high above the table for an impact."""

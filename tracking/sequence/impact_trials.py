@@ -170,9 +170,14 @@ def motion_of_poses(
             continue
         if found is None:
             found = motion
-        elif not same_picture(view, *((p.position_m, p.rotation) for p in (found.poses[-1], motion.poses[-1]))):
+        elif not same_picture(view, _place(found.poses[-1]), _place(motion.poses[-1])):
             return None
     return found
+
+
+def _place(pose: Pose) -> tuple[Array, Array]:
+    """Position (3,) and rotation (3, 3)."""
+    return pose.position_m, pose.rotation
 
 
 def _motion_through(
@@ -192,7 +197,7 @@ def _motion_through(
         information = np.linalg.inv(POSE_VARIANCE_FACTOR * pose.covariance[:3, :3])
         H += J.T @ information @ J
         g += J.T @ information @ place
-    covariance = np.linalg.inv(H)
+    covariance = np.asarray(np.linalg.inv(H), float)
     fitted = covariance @ g
     off_m = without_fall - fitted[:3] - passed_s[:, None] * fitted[3:]
     seen_m = [seen_distance_m(view.rig, p, off, view.reach_m) for p, off in zip(position_m, off_m, strict=True)]
