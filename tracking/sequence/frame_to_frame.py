@@ -529,7 +529,8 @@ class FrameTracker:
         frame_s = float(abs(found.time_s[-1] - found.time_s[0])) / (n - 1)
         self.motion, self.rotation = found.motion.copy(), last.rotation.copy()
         self.P = initial_covariance(self.view, last, frame_s, BOUNCED_REACH, BOUNCED_RAD)
-        moving = np.r_[0:3, 6:9]
+        moving, turning = np.r_[0:3, 6:9], np.r_[3:6, 9:12]
+        self.P[np.ix_(moving, turning)], self.P[np.ix_(turning, moving)] = 0.0, 0.0
         self.P[np.ix_(moving, moving)] = found.covariance
         self.clock = np.array([found.time_s[-1], self.usual_cost, float(n)])
         self._forget_loss()
