@@ -88,7 +88,7 @@ class Tracking:
             *self.times.notices,
             *self.offsets.notices(1.0 / rate_hz(self.frames)),
             *((self.corners.notice,) if self.corners is not None else ()),
-            *((self.response.notice,) if self.response is not None and not self.response.is_linear else ()),
+            *((self.response.notice,) if self.response is not None and not self.response.is_exact else ()),
             *((self.lens.notice,) if self.lens is not None else ()),
             *((self.second_die.notice,) if self.second_die is not None else ()),
             *((self.faces.verdict,) if self.die.marks is not None and not self.faces.complete else ()),

@@ -98,8 +98,18 @@ class EstimatedResponse:
         return self.exponent == 1.0
 
     @property
+    def is_exact(self) -> bool:
+        """Whether nothing was found that a person need know: a linear response, and certain."""
+        return self.is_linear and self.sigma == 0.0
+
+    @property
     def notice(self) -> str:
         """What was found, for the notes of a run."""
+        if self.is_linear:
+            return (
+                "The response of the camera is neither stated nor shown by the pictures, grey = light ** "
+                f"{self.exponent:.2f} ± {self.sigma:.2f}; the errors of all poses contain that: state it as `response` in [clip]."
+            )
         return (
             f"Edges of the die show a display curve, grey = light ** {self.exponent:.2f} ± {self.sigma:.2f}, which was undone; "
             "if you know the response of the camera, state it as `response` in [clip]."

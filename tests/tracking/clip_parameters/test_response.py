@@ -135,6 +135,9 @@ def test_a_lossy_codec_leaves_a_linear_response_unknown() -> None:
     response = found("cube", "linear", of_clip=Compressed)
     assert response is not None
     assert response == EstimatedResponse(1.0, UNKNOWN_SIGMA)
+    assert not response.is_exact
+    assert f"{UNKNOWN_SIGMA:.2f}" in response.notice
+    assert EstimatedResponse(1.0, 0.0).is_exact
 
 
 def test_too_few_frames_say_nothing() -> None:

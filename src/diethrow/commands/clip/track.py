@@ -289,7 +289,7 @@ def write_origin(
     found: dict[str, object] = {}
     if tracking is not None and tracking.corners is not None:
         found |= {"corner_radius_m": tracking.corners.radius_m, "sigma_corner_radius_m": tracking.corners.sigma_m}
-    if tracking is not None and tracking.response is not None and not tracking.response.is_linear:
+    if tracking is not None and tracking.response is not None and not tracking.response.is_exact:
         found |= {"response": tracking.response.exponent, "sigma_response": tracking.response.sigma}
     if tracking is not None and tracking.lens is not None:
         found |= {"aperture_m": tracking.lens.aperture_m, "focus_m": tracking.lens.focus_m}
