@@ -54,6 +54,18 @@ from ..placed_die import (
     solve_factored,
     used_columns,
 )
+from .stretch_sums import (
+    CENSORED,
+    FAR_OFF,
+    censor,
+    four_residuals,
+    four_sums,
+    has_saturated,
+    median_size,
+    robust_scale,
+    two_residuals,
+    two_sums,
+)
 
 FEWEST_PIXELS = 12
 """Pixels of a stretch below which its intensities and its noise are not estimated."""
@@ -61,14 +73,8 @@ REWEIGHTINGS = 3
 """Times that the intensities of a stretch are solved with weights from the last residuals."""
 BIWEIGHT_CUT = 4.685
 """Cut of the biweight in sigmas: 95 % efficient on clean Gaussian residuals."""
-BIWEIGHT_VARIANCE = 0.8281
-"""Mean square of Gaussian residuals of unit variance under the biweight's own weights with that cut."""
 NORMAL_MAD = 1.4826
 """Standard deviation of a Gaussian over its median absolute value."""
-MEDIAN_TOLERANCE = 0.02
-"""Part of itself to which a median is found; that of 200 Gaussian residuals is known to a fifteenth."""
-MEDIAN_HALVINGS = 16
-"""Most steps of that search, which end it if most values are nearly zero."""
 FEWEST_STRETCHES = 4.0
 """Stretches beside a face from which the variance of their greys is estimated."""
 CLEAR_SIGMAS = 3.0
@@ -88,12 +94,6 @@ LEAST_FILE_NOISE = 0.5
 """Least noise in the file's grey levels: rounding to whole levels leaves 0.3."""
 MIXED_SHARE = 0.01
 """Share of either side in a pixel from which it shows both."""
-SATURATED_PART = 0.01
-"""Part of full scale by which a saturated pixel may be predicted darker and still counts as explained: noise."""
-FAR_OFF = 1e8
-"""Residual [grey] that the biweight gives no weight before the scale is known."""
-CENSORED = 1e9
-"""Residual [grey] of a saturated pixel that is predicted to be as bright: so far off that it never has a weight."""
 LEAST_PIVOT = 1e-9
 """Part of its diagonal that a pivot of the intensities keeps at the least; below, two of them cannot be separated."""
 LEAST_SHARED_PIVOT = 1e-12
@@ -162,13 +162,13 @@ def add_stretch(
     known_near, known_far = 0.0, 0.0
     c[2], c[3] = 0.0, 0.0
     res[:n] = 0.0
-    is_saturated = _has_saturated(n, settings.saturation_grey, work.value)
+    is_saturated = has_saturated(n, settings.saturation_grey, work.value)
     if is_saturated:
         # The greys are at least as bright, until the other pixels say otherwise.
-        seen, icut = _censor(n, settings.saturation_grey, work.value, res, size), 1.0 / FAR_OFF
+        seen, icut = censor(n, settings.saturation_grey, work.value, res, size), 1.0 / FAR_OFF
     for reweighting in range(REWEIGHTINGS):
         if sharp:
-            A[0, 0], A[1, 0], A[1, 1], y[0], y[1] = _two_sums(n, icut, phi[0], phi[1], grey, res, w)
+            A[0, 0], A[1, 0], A[1, 1], y[0], y[1] = two_sums(n, icut, phi[0], phi[1], grey, res, w)
             if reweighting == REWEIGHTINGS - 1:
                 _note_greys(A, y, scale, sums[near], sums[far])
             known_near, known_far = shared_grey[near, 1] * scale * scale, shared_grey[far, 1] * scale * scale
@@ -177,7 +177,7 @@ def add_stretch(
             y[0] += known_near * shared_grey[near, 0]
             y[1] += known_far * shared_grey[far, 0]
         else:
-            _four_sums(n, icut, phi, grey, res, w, A, y)
+            four_sums(n, icut, phi, grey, res, w, A, y)
             if lit:
                 if reweighting > 0 and light.solved[view] > 0:
                     off2, off3 = c[2] - light.expected[2], c[3] - light.expected[3]
@@ -198,11 +198,11 @@ def add_stretch(
             return
         solve_factored(L, K, y, c)
         if sharp:
-            _two_residuals(n, c[0], c[1], phi[0], phi[1], grey, res, size)
+            two_residuals(n, c[0], c[1], phi[0], phi[1], grey, res, size)
         else:
-            _four_residuals(n, c, phi, grey, res, size)
+            four_residuals(n, c, phi, grey, res, size)
         if is_saturated:
-            seen = _censor(n, settings.saturation_grey, work.value, res, size)
+            seen = censor(n, settings.saturation_grey, work.value, res, size)
             if seen < FEWEST_PIXELS:
                 return
         if reweighting < REWEIGHTINGS - 1:
@@ -416,136 +416,7 @@ def update_shared_greys(work: Workspace, step: Any) -> None:
         which[0] = 0
 
 
-# --- sums over the pixels of a stretch
-
-
-@inner_fast_sums_no_memory
-def median_size(values: Any, n: int) -> float:
-    """Median of the first n of non-negative values, to a relative MEDIAN_TOLERANCE, by bisection: the processor counts
-    eight values at a time, while sorting waits at every comparison."""
-    total = 0.0
-    for i in range(n):
-        total += values[i]
-    # At least half of them lie below twice their mean.
-    low, high = 0.0, 2.0 * total / n
-    for _ in range(MEDIAN_HALVINGS):
-        if high - low <= MEDIAN_TOLERANCE * high:
-            break
-        middle, below = 0.5 * (low + high), 0.0
-        for i in range(n):
-            below += 1.0 if values[i] < middle else 0.0
-        if 2.0 * below < n:
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)
-
-
-@inner_fast_sums_no_memory
-def _two_sums(
-    n: int, icut: float, near: Any, far: Any, grey: Any, res: Any, w: Any
-) -> tuple[float, float, float, float, float]:
-    """Normal matrix (a00, a10, a11) and right side of two intensities, with weights from the last residuals and the
-    inverse cut `icut` of the biweight; all weights are 1 if it is 0."""
-    a00, a10, a11, y0, y1 = 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(n):
-        q = res[i] * icut
-        q = max(1.0 - q * q, 0.0)
-        wi = q * q
-        w[i] = wi
-        w0, w1 = wi * near[i], wi * far[i]
-        a00 += w0 * near[i]
-        a10 += w1 * near[i]
-        a11 += w1 * far[i]
-        y0 += w0 * grey[i]
-        y1 += w1 * grey[i]
-    return a00, a10, a11, y0, y1
-
-
-@inner_no_memory
-def _two_residuals(n: int, c0: float, c1: float, near: Any, far: Any, grey: Any, res: Any, size: Any) -> None:
-    """Residuals of two intensities, and their absolute values."""
-    for i in range(n):
-        res[i] = grey[i] - c0 * near[i] - c1 * far[i]
-        size[i] = abs(res[i])
-
-
-@inner_fast_sums_no_memory
-def _has_saturated(n: int, saturation: float, value: Any) -> bool:
-    """Whether any pixel is saturated."""
-    count = 0
-    for i in range(n):
-        count += 1 if value[i] >= saturation else 0
-    return count > 0
-
-
-@inner_no_memory
-def _censor(n: int, saturation: float, value: Any, res: Any, size: Any) -> int:
-    """Mark saturated pixels that are predicted to be as bright as CENSORED, and move the absolute residuals of the others to the
-    front; return their number."""
-    seen = 0
-    for i in range(n):
-        if value[i] >= saturation and res[i] < SATURATED_PART * saturation:
-            res[i] = CENSORED
-        else:
-            size[seen] = size[i]
-            seen += 1
-    return seen
-
-
-@inner_fast_sums_no_memory
-def _four_sums(n: int, icut: float, phi: Any, grey: Any, res: Any, w: Any, A: Any, y: Any) -> None:
-    """The same for the four intensities of a rounded edge: normal matrix A (lower half) and right side y."""
-    p0, p1, p2, p3 = phi[0], phi[1], phi[2], phi[3]
-    a00, a10, a11, a20, a21, a22, a30, a31, a32, a33 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    y0, y1, y2, y3 = 0.0, 0.0, 0.0, 0.0
-    for i in range(n):
-        q = res[i] * icut
-        q = max(1.0 - q * q, 0.0)
-        wi = q * q
-        w[i] = wi
-        w0, w1, w2, w3 = wi * p0[i], wi * p1[i], wi * p2[i], wi * p3[i]
-        a00 += w0 * p0[i]
-        a10 += w1 * p0[i]
-        a11 += w1 * p1[i]
-        a20 += w2 * p0[i]
-        a21 += w2 * p1[i]
-        a22 += w2 * p2[i]
-        a30 += w3 * p0[i]
-        a31 += w3 * p1[i]
-        a32 += w3 * p2[i]
-        a33 += w3 * p3[i]
-        y0 += w0 * grey[i]
-        y1 += w1 * grey[i]
-        y2 += w2 * grey[i]
-        y3 += w3 * grey[i]
-    A[0, 0], A[1, 0], A[1, 1], A[2, 0], A[2, 1], A[2, 2] = a00, a10, a11, a20, a21, a22
-    A[3, 0], A[3, 1], A[3, 2], A[3, 3] = a30, a31, a32, a33
-    y[0], y[1], y[2], y[3] = y0, y1, y2, y3
-
-
-@inner_fast_sums_no_memory
-def _four_residuals(n: int, c: Any, phi: Any, grey: Any, res: Any, size: Any) -> None:
-    """Residuals of four intensities, and their absolute values."""
-    c0, c1, c2, c3 = c[0], c[1], c[2], c[3]
-    p0, p1, p2, p3 = phi[0], phi[1], phi[2], phi[3]
-    for i in range(n):
-        res[i] = grey[i] - c0 * p0[i] - c1 * p1[i] - c2 * p2[i] - c3 * p3[i]
-        size[i] = abs(res[i])
-
-
-@inner_fast_sums_no_memory
-def robust_scale(n: int, icut: float, res: Any) -> float:
-    """Scale of residuals by one step of an M-estimate from the scale behind `icut`: three times as efficient as the
-    median that it starts from."""
-    total, weights = 0.0, 0.0
-    for i in range(n):
-        q = res[i] * icut
-        q = max(1.0 - q * q, 0.0)
-        q = q * q
-        total += q * res[i] * res[i]
-        weights += q
-    return sqrt(total / (BIWEIGHT_VARIANCE * max(weights, 1.0)))
+# --- noise and derivatives of a stretch
 
 
 @inner_no_memory

@@ -77,13 +77,11 @@ from .edge_stretch import (
     LEAST_FILE_NOISE,
     MIXED_SHARE,
     NORMAL_MAD,
-    SATURATED_PART,
     file_residual,
-    median_size,
     response_slope,
-    robust_scale,
 )
 from .region_cost import DIFFERENT_SIGMAS, FACE_SHADING, FACE_SIGMAS, SHADOW_SQUARED_SIGMAS_CUT, SQUARED_SIGMAS_CUT
+from .stretch_sums import SATURATED_PART, median_size, robust_scale
 
 PURE_SHARE = 0.98
 """Share of the die behind a pixel from which it shows a part of the surface alone."""

@@ -139,6 +139,10 @@ def first_supported_row(observations: WeightedPoses, die: Die) -> int:
             if not is_supported:
                 return n
             first = behind_flights
+    elif not _is_supported(observations, slice(first, n)):
+        # Errors that neighbouring frames share make windows of a flight look unlike one. Where the whole range does not show
+        # support either, a flight errs less than its heights do.
+        return n
     # The last impact may lie a frame behind the first level frame: the frames that show it are left to the flight.
     return min(first + FRAMES_LEFT_TO_FLIGHT, n)
 
