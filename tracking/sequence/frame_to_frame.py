@@ -114,7 +114,7 @@ IMPACT_APART_EDGES = 0.06
 LOST_FRAMES = 2
 """Frames without a pose after which a die high above the table may be found off its path: the motion was wrong."""
 SEARCH_EVERY = 6
-"""Frames without a pose between searches for an initial pose, at the most: first comes one at once, and each that fails doubles
+"""Frames without a pose between searches for an initial pose, at the most: the first comes at once, and each that fails doubles
 the distance to the next."""
 BACKWARDS_MISSES = 3
 """Frames without a pose after which tracking backwards ends."""
@@ -414,10 +414,9 @@ class FrameTracker:
     def _is_explained(self, pose: Pose, expected: State, P: Array) -> bool:
         """Whether something explains where the pose lies: the motion so far, a table near enough for an impact, or a picture that
         shows the die there beyond doubt. Poses of a half-hidden die are explained by none of these."""
-        reach, high = self.view.reach_m, self._is_high(expected, P)
-        far_m = max((FIRST_POSES_REACH if high else NEW_FLIGHT_REACH) * reach, PREDICTED_SIGMAS * widest_sigma(P, 0))
         if self._is_as_predicted(pose, expected, P):
             return True
+        reach, high, (far_m, _) = self.view.reach_m, self._is_high(expected, P), self._far(expected, P)
         dt = expected.time_s - float(self.clock[0])
         speed = float(np.linalg.norm(expected.velocity_m_s)) + reach * float(np.linalg.norm(expected.omega_rad_s))
         moved = float(np.linalg.norm(pose.position_m - self.motion[:3]))
@@ -433,11 +432,16 @@ class FrameTracker:
 
     def _is_as_predicted(self, pose: Pose, expected: State, P: Array) -> bool:
         """Whether a pose lies where the motion so far puts it."""
-        reach, high = self.view.reach_m, self._is_high(expected, P)
-        distance = float(seen_distance_m(self.view.rig, pose.position_m, pose.position_m - expected.position_m, reach))
-        far_m = max((FIRST_POSES_REACH if high else NEW_FLIGHT_REACH) * reach, PREDICTED_SIGMAS * widest_sigma(P, 0))
-        far_rad = max(FIRST_POSES_RAD if high else NEW_FLIGHT_RAD, PREDICTED_SIGMAS * widest_sigma(P, 3))
+        off_m, (far_m, far_rad) = pose.position_m - expected.position_m, self._far(expected, P)
+        distance = float(seen_distance_m(self.view.rig, pose.position_m, off_m, self.view.reach_m))
         return distance < far_m and float(angle_between(pose.rotation, expected.rotation)) < far_rad
+
+    def _far(self, expected: State, P: Array) -> tuple[float, float]:
+        """Distance [m] and angle [rad] from the prediction beyond which a pose belongs to another flight."""
+        high = self._is_high(expected, P)
+        reach, rad = (FIRST_POSES_REACH, FIRST_POSES_RAD) if high else (NEW_FLIGHT_REACH, NEW_FLIGHT_RAD)
+        sigmas = PREDICTED_SIGMAS * widest_sigma(P, 0), PREDICTED_SIGMAS * widest_sigma(P, 3)
+        return max(reach * self.view.reach_m, sigmas[0]), max(rad, sigmas[1])
 
     def _is_high(self, expected: State, P: Array) -> bool:
         """Whether the die flies too high above the table for an impact."""
@@ -482,7 +486,7 @@ class FrameTracker:
         ]
         self._candidates = sorted(found, key=lambda pose: pose.cost)[:MOST_CANDIDATES]
         best = self._candidates[0] if found else None
-        others = [pose for pose in self._candidates[1:] if best and self._rivals(best, pose)]
+        others = [pose for pose in self._candidates[1:] if best and self._leaves_open(best, pose)]
         clear = [pose for pose in self._candidates[:1] if pose.support > CLEAR_SUPPORT and pose.cost < enough]
         if others or not clear:
             is_followed = bool(found) and len(self._surprising) < MIN_POSES_OF_FLIGHT - 1
@@ -540,7 +544,7 @@ class FrameTracker:
         self.misses, self._rates_after_impact = 0, np.zeros((0, 6))
         self._next_search, self._search_wait = 1, 1
 
-    def _rivals(self, best: Pose, other: Pose) -> bool:
+    def _leaves_open(self, best: Pose, other: Pose) -> bool:
         """Whether another pose of a picture leaves open which is right."""
         here, there = ((pose.position_m, pose.rotation) for pose in (best, other))
         return other.cost < best.cost + AMBIGUOUS_COST and not same_picture(self.view, here, there)

@@ -307,10 +307,12 @@ def best_hypothesis(view: View, source: FrameSource, k: int, unused: Mask) -> Hy
     left = min(STAGES[-1], _frames_ahead(unused, k))
     rate_px_s = _rate_px_s(view, source, k, unused)
     poses = _candidates(view, source, k, rate_px_s)
-    found = _race(view, source, k, [_new_hypothesis(view, source, k, pose, unused, rate_px_s) for pose in poses], left)
+    found = _best_tracked(
+        view, source, k, [_new_hypothesis(view, source, k, pose, unused, rate_px_s) for pose in poses], left
+    )
     if found is None and poses and left > MIN_POSES_OF_FLIGHT:
         moving = _moving_hypothesis(view, source, k, poses, unused)
-        found = None if moving is None else _race(view, source, k, [moving], left)
+        found = None if moving is None else _best_tracked(view, source, k, [moving], left)
     return found
 
 
@@ -319,7 +321,9 @@ def _candidates(view: View, source: FrameSource, k: int, rate_px_s: Array) -> li
     return [pose for _, pose in pose_candidates(view, np.asarray(source.frame(k), np.float32), rate_px_s)]
 
 
-def _race(view: View, source: FrameSource, k: int, hypotheses: list[Hypothesis], left: int) -> Hypothesis | None:
+def _best_tracked(
+    view: View, source: FrameSource, k: int, hypotheses: list[Hypothesis], left: int
+) -> Hypothesis | None:
     """The best of some hypotheses that begin on frame k, tracked stage by stage over the frames left; None if all are lost."""
     for stage in sorted({min(stage, left) for stage in STAGES}):
         scored = [(h, score) for h in hypotheses if (score := _tracked_to(h, view, source, k, stage)) is not None]
