@@ -3,7 +3,8 @@
 Frames of the random clips of `population.py` are refined from their true poses, once by the edges of the die alone, with
 the light of the clip (`with_light`), and once as frames are tracked: well-rounded dice by their whole surface. What a
 refinement loses from the truth, no search or tracking recovers on that frame; a track has smaller errors, since many frames
-share its flights. NEES is the squared error in the stated covariance, 5.35 where that is honest.
+share its flights. NEES is the squared error in the stated covariance, 5.35 where that is honest. The errors of pixels beside
+edges count as correlated as the frames of the clip show them (`independent_share`).
 
 A row for each kind of clip: frames; frames without a pose; then, by edges and as tracked, the median and the 90th
 percentile of the rotation error [deg], the medians of the errors across and along the line of sight [mm], and the median
@@ -31,10 +32,11 @@ from diethrow.files.scene import read_scene
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotvec_from_quat
 from diethrow.tracking.clip_parameters import BLUR_FRAMES, estimate_lens, with_light
 from diethrow.tracking.footage import FrameSource, clip_in_light, estimate_background, level_grey
-from diethrow.tracking.picture import PixelNoise, View, make_view, pixel_noise, with_lens
-from diethrow.tracking.pose import ClipPoses, pose_state, refine_pose
+from diethrow.tracking.picture import PixelNoise, View, independent_share, make_view, pixel_noise, with_lens
+from diethrow.tracking.pose import ClipPoses, Pose, pose_state, refine_pose
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
 T = TypeVar("T")
 
 FRAMES = 16
@@ -97,7 +99,7 @@ def clip_errors(clips: Path, seed: int, number: int) -> tuple[tuple[str, ...], A
     known = np.flatnonzero(poses.known)
     rows = known[np.unique(np.linspace(0, len(known) - 1, FRAMES).astype(int))]
     ways = [(with_lens(lit, lens), True), (with_lens(as_tracked, lens), False)]
-    return draw.kinds, np.array([[frame_errors(*way, source, poses, int(k)) for k in rows] for way in ways])
+    return draw.kinds, np.array([errors_of_frames(*way, source, poses, rows) for way in ways])
 
 
 def view_of(folder: Path, *, states_response: bool = True) -> tuple[View, FrameSource]:
@@ -138,14 +140,23 @@ def true_poses(folder: Path, view: View, count: int) -> ClipPoses:
     return poses
 
 
-def frame_errors(view: View, edges_alone: bool, source: FrameSource, poses: ClipPoses, k: int) -> Array:
-    """(4,) errors of the pose of one frame."""
-    p, R, motion = poses.position_m[k], poses.rotation[k], poses.motion[k]
-    image, start = np.asarray(source.frame(k), np.float32), pose_state(p, R, motion[:3], motion[3:])
-    pose = refine_pose(view, image, start, coarse=0, edges_alone=edges_alone)
-    covariance = pose.covariance
-    if covariance is None:
+def errors_of_frames(view: View, edges_alone: bool, source: FrameSource, poses: ClipPoses, rows: Rows) -> Array:
+    """(n, 4) errors of the poses of some frames."""
+    found = []
+    for k in rows.tolist():
+        motion = poses.motion[k]
+        start = pose_state(poses.position_m[k], poses.rotation[k], motion[:3], motion[3:])
+        image = np.asarray(source.frame(k), np.float32)
+        found.append(refine_pose(view, image, start, coarse=0, edges_alone=edges_alone))
+    share = independent_share(np.array([pose.statistics for pose in found]))
+    return np.array([frame_errors(view, poses, k, pose, share) for k, pose in zip(rows.tolist(), found, strict=True)])
+
+
+def frame_errors(view: View, poses: ClipPoses, k: int, pose: Pose, share: float) -> Array:
+    """(4,) errors of the pose of one frame, whose information is multiplied by `share`."""
+    if pose.covariance is None:
         return np.full(4, np.nan)
+    p, R, covariance = poses.position_m[k], poses.rotation[k], pose.covariance / share
     turned = rotvec_from_quat(quat_from_matrix(R @ pose.rotation.T))
     error = np.concatenate([p - pose.position_m, turned])
     seen_mm = 1e3 * view.camera.rotation @ error[:3]

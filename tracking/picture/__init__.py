@@ -19,6 +19,11 @@ from ..placed_die import CONTOUR_PX as CONTOUR_PX
 from ..placed_die import LAMP_PRIOR as LAMP_PRIOR
 from ..placed_die import LEAST_DEPTH_M as LEAST_DEPTH_M
 from ..placed_die import LIGHT_TERMS as LIGHT_TERMS
+from ..placed_die import LINE_LAGS as LINE_LAGS
+from ..placed_die import LINE_PAIRS as LINE_PAIRS
+from ..placed_die import LINE_PRODUCTS as LINE_PRODUCTS
+from ..placed_die import LINE_SQUARES as LINE_SQUARES
+from ..placed_die import LINES as LINES
 from ..placed_die import LOG_NOISE as LOG_NOISE
 from ..placed_die import NARROW_WINDOW_PX as NARROW_WINDOW_PX
 from ..placed_die import PARAMETERS as PARAMETERS
@@ -72,6 +77,7 @@ from .edge_equations import add_edge_equations as add_edge_equations
 from .edge_stretch import BIWEIGHT_CUT as BIWEIGHT_CUT
 from .edge_stretch import NORMAL_MAD as NORMAL_MAD
 from .edge_stretch import update_shared_greys as update_shared_greys
+from .noise_correlation import independent_share as independent_share
 from .occluders import OCCLUDED_SHARE as OCCLUDED_SHARE
 from .occluders import OccluderMask as OccluderMask
 from .occluders import update_occluder_mask as update_occluder_mask

@@ -37,6 +37,11 @@ from ..placed_die import (
     CLEAR_PX,
     CONTOUR_PX,
     FACE_EDGES,
+    LINE_LAGS,
+    LINE_PAIRS,
+    LINE_PRODUCTS,
+    LINE_SQUARES,
+    LINES,
     LOG_NOISE,
     PIXELS,
     RESPONSE,
@@ -235,6 +240,7 @@ def add_stretch(
         _fill_response_slopes(n, c[0], phi[0], work.value, res, bent)
     begin, rows = work.row_begin, work.row_jacobian
     C[:] = 0.0
+    lines = 0
     for k in range(m):
         # All pixels of a line share the derivative of d: sums over its pixels first, then the parameters once.
         rr, re, r0, r1, r2, r3, rs, rb = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -244,6 +250,15 @@ def add_stretch(
             re += wr * res[i]
             r0 += wr * phi[0, i]
             r1 += wr * phi[1, i]
+        if rr > 0.0:
+            shift = re * sqrt(iv / (stretch.weight * rr))
+            stats[LINES] += 1.0
+            stats[LINE_SQUARES] += shift * shift
+            for lag in range(min(lines, LINE_LAGS)):
+                stats[LINE_PAIRS + lag] += 1.0
+                stats[LINE_PRODUCTS + lag] += shift * size[lines - 1 - lag]
+            size[lines] = shift
+            lines += 1
         if not sharp:
             for i in range(begin[k], begin[k + 1]):
                 wr = w[i] * rise[i]

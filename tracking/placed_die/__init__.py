@@ -13,6 +13,11 @@ from .kernel_types import CLEAR_PX as CLEAR_PX
 from .kernel_types import CONTOUR as CONTOUR
 from .kernel_types import CONTOUR_PX as CONTOUR_PX
 from .kernel_types import LIGHT_TERMS as LIGHT_TERMS
+from .kernel_types import LINE_LAGS as LINE_LAGS
+from .kernel_types import LINE_PAIRS as LINE_PAIRS
+from .kernel_types import LINE_PRODUCTS as LINE_PRODUCTS
+from .kernel_types import LINE_SQUARES as LINE_SQUARES
+from .kernel_types import LINES as LINES
 from .kernel_types import LOG_NOISE as LOG_NOISE
 from .kernel_types import MAX_STRETCH_PIXELS as MAX_STRETCH_PIXELS
 from .kernel_types import PARAMETERS as PARAMETERS

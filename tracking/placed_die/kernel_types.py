@@ -35,7 +35,7 @@ BLUR = 7
 RESPONSE = 8
 """Column of the response, grey = light ** exponent: by how much its exponent is above that of the clip's levels."""
 
-STATISTICS = 8
+STATISTICS = 16
 """Numbers that the kernels count beside the normal equations; their places follow."""
 ROBUST_COST = 0
 """Sum over edge pixels of the truncated cost, 0 to 1 each."""
@@ -53,6 +53,18 @@ LOG_NOISE = 6
 """Sum over edge pixels of the logarithm of the residual noise [grey]."""
 BACKGROUND_SHARE = 7
 """Share of the die's own pixels that show nothing but the background."""
+LINES = 8
+"""Number of pixel lines across edges. Of each follows a shift of the edge and its standard error, as if errors of pixels were
+independent; the next numbers are of the ratios of both."""
+LINE_SQUARES = 9
+"""Sum of their squares."""
+LINE_LAGS = 3
+"""Distances, from one line on, at which lines are compared: what the errors of pixels share does not reach farther, and what
+whole edges share is an error of the model."""
+LINE_PAIRS = 10
+"""Number of pairs of lines at each of these distances."""
+LINE_PRODUCTS = 13
+"""Sums over these pairs of the products of their ratios."""
 
 
 class Shape(NamedTuple):

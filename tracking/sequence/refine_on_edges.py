@@ -20,6 +20,7 @@ from ..footage import FrameBlock, Frames, FrameSource, Rows
 from ..picture import (
     CLEAR_PX,
     CONTOUR_PX,
+    LINES,
     PARAMETERS,
     SHADED_STRETCH_PX,
     STATISTICS,
@@ -28,6 +29,7 @@ from ..picture import (
     PoseRows,
     RefinementSettings,
     View,
+    independent_share,
     refinement_boxes,
     shares_in_view,
 )
@@ -104,6 +106,8 @@ class EdgeRefinement:
         for attempt in attempts[1:]:
             other = attempt.poses(count)
             poses.take(np.flatnonzero(other.known & (~poses.known | (other.cost < poses.cost))), other)
+        by_edges = np.flatnonzero(poses.known & (poses.statistics[:, LINES] > 0.0))
+        poses.H[by_edges] *= independent_share(poses.statistics[by_edges])
         return with_labels_of_flights(view, poses, reference, tracked)
 
     def _differ_from(self, flights: ClipPoses) -> Mask:
