@@ -209,7 +209,12 @@ def _die(rng: np.random.Generator) -> tuple[Die, float]:
     volume = sum(_area(unit.vertices[list(face)]) * h / 3.0 for face, h in zip(unit.faces, unit.offsets, strict=True))
     mass_kg = float(volume * edge_m**3 * rng.uniform(*DENSITY_KG_M3))
     albedo = float(rng.uniform(0.55, 0.85) if rng.random() < 0.75 else rng.uniform(0.05, 0.3))
-    return make_die(shape, edge_m, mass_kg, corner_radius_m=float(share * edge_m), marks=marks), albedo
+    # The inertia of the sharp body, which the scene states: the throw of a seed does not change with the model.
+    inertia_kg_m2 = make_die(shape, edge_m, mass_kg).inertia_kg_m2
+    die = make_die(
+        shape, edge_m, mass_kg, inertia_kg_m2=inertia_kg_m2, corner_radius_m=float(share * edge_m), marks=marks
+    )
+    return die, albedo
 
 
 def _area(corners: Array) -> float:

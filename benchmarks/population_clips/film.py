@@ -397,8 +397,6 @@ def scene_text(draw: Draw, clip: str) -> str:
     background = 'background = "background.png"\n' if draw.has_background else ""
     response = f"response = {json.dumps(draw.response)}\n" if draw.states_response else ""
     readout = f"readout_s = {draw.readout_s!r}\n" if draw.readout_s else ""
-    # The truth has the inertia that the model gave the die, whatever it gives one without a number later.
-    inertia = f"inertia_kg_m2 = {draw.die.inertia_kg_m2!r}\n"
     return f"""# Clip {draw.number} of seed {draw.seed}: {", ".join(draw.kinds)}.
 
 [clip]
@@ -406,4 +404,4 @@ path = "{clip}"
 fps = {draw.fps!r}
 exposure_s = {draw.exposure_s!r}
 {background}{readout}{response}
-{scene_tables(draw.camera, draw.surface, draw.die)}{inertia}"""
+{scene_tables(draw.camera, draw.surface, draw.die)}"""

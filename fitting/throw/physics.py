@@ -209,7 +209,12 @@ class Physics:
             return self.die.corner_radius_m
         if name in TABLE_MOTION:
             return float(getattr(self.table, name.removeprefix("table_")))
-        return self.die.inertia_kg_m2 if name == "inertia_kg_m2" else _NEUTRAL.get(name, 0.0)
+        if name == "inertia_kg_m2":
+            # That of the body with the fitted radius.
+            return self.die.with_corner_radius(
+                self.values.get("corner_radius_m", self.die.corner_radius_m)
+            ).inertia_kg_m2
+        return _NEUTRAL.get(name, 0.0)
 
     def with_values(self, **values: float) -> Physics:
         """The same with other values, each clipped to its bounds, and the centre of mass to the inside of the die."""
@@ -273,11 +278,12 @@ class Physics:
         """The die with the fitted radius, inertia and centre of mass."""
         die = self.die
         if "corner_radius_m" in self.values:
-            die = replace(die, corner_radius_m=self.values["corner_radius_m"])
+            die = die.with_corner_radius(self.values["corner_radius_m"])
         if "inertia_kg_m2" in self.values:
-            die = replace(die, inertia_kg_m2=self.values["inertia_kg_m2"])
+            die = replace(die, inertia_kg_m2=self.values["inertia_kg_m2"], is_homogeneous=False)
         if CENTRE_OF_MASS[0] in self.values:
-            die = replace(die, centre_of_mass_m=np.array([self.values[name] for name in CENTRE_OF_MASS]))
+            centre_m = np.array([self.values[name] for name in CENTRE_OF_MASS])
+            die = replace(die, centre_of_mass_m=centre_m, is_homogeneous=False)
         return die
 
     @cached_property

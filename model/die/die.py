@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .solid import Array, Solid, check_positive, inner_vertices, isohedral_solid, unit_inertia
+from .mass_distribution import mass_distribution
+from .solid import Array, Solid, check_positive, inner_vertices, isohedral_solid
 
 MAX_CORNER_RADIUS_FRACTION = 0.95
 """Largest corner radius as a fraction of the inscribed radius. A rounder die is a ball, which never comes to rest."""
@@ -24,6 +25,10 @@ has 0.20 to 0.46 of it; a value below this is in a wrong unit."""
 ISOTROPY_TOLERANCE = 1e-12
 """Largest deviation of a tensor element from an isotropic tensor, in mean moments, at which a tensor counts as isotropic:
 rounding of the volume integral."""
+
+CENTRED_TOLERANCE = 1e-12
+"""Distance of the centroid of a rounded body from that of the sharp one, in circumradii, at which it counts as the same:
+rounding."""
 
 TENSOR_TOLERANCE = 1e-9
 """Relative asymmetry, and relative violation of the triangle inequality, of a tensor that a user wrote with ten digits."""
@@ -48,7 +53,9 @@ class Die:
     inertia_tensor_kg_m2: Array | None = None
     """(3, 3) about the centre of mass, body axes; None for a spherical top."""
     centre_of_mass_m: Array | None = None
-    """(3,) from the centroid, body axes; None if it is the centroid."""
+    """(3,) from the centroid of the solid, body axes; None if it is that."""
+    is_homogeneous: bool = False
+    """Whether inertia and centre of mass are those of the homogeneous rounded body, and follow its corner radius."""
 
     def __post_init__(self) -> None:
         centre = None if self.centre_of_mass_m is None else np.array(self.centre_of_mass_m, float)
@@ -71,6 +78,16 @@ class Die:
                 "inertia and its centre of mass at the centroid; use inertia_tensor_kg_m2"
             )
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+
+    def with_corner_radius(self, corner_radius_m: float) -> Die:
+        """The same die with another radius of its corners. A homogeneous one keeps its mass, and its inertia follows.
+
+        Raises ValueError for a radius that leaves no solid (`inner_vertices`)."""
+        if self.is_homogeneous:
+            return die_from_solid(self.solid, self.mass_kg, corner_radius_m=corner_radius_m, marks=self.marks)
+        moment = self.inertia_kg_m2 if self.is_spherical_top else np.nan
+        tensor, centre = self.inertia_tensor_kg_m2, self.centre_of_mass_m
+        return Die(self.solid, self.mass_kg, moment, corner_radius_m, self.marks, tensor, centre)
 
     @property
     def is_spherical_top(self) -> bool:
@@ -104,7 +121,7 @@ def make_die(
     corner_radius_m: float = 0.0,
     marks: str | None = None,
 ) -> Die:
-    """One of the five isohedral dice. Its inertia follows from shape, edge and mass unless it is given.
+    """One of the five isohedral dice. Its inertia follows from shape, edge, corner radius and mass unless it is given.
 
     Raises ValueError for an unknown shape, and for an edge, mass, inertia or corner radius that no such die has.
     """
@@ -124,7 +141,7 @@ def make_die(
             "moment with all of the mass at the distance of the corners"
         )
     if inertia_kg_m2 is None:
-        inertia_kg_m2 = mass_kg * float(np.trace(unit_inertia(solid))) / 3.0
+        return die_from_solid(solid, mass_kg, corner_radius_m=corner_radius_m, marks=marks)
     return Die(solid, mass_kg, inertia_kg_m2, corner_radius_m, marks)
 
 
@@ -146,19 +163,24 @@ def die_from_solid(
     """
     check_positive("mass_kg", mass_kg)
     centre = None if centre_of_mass_m is None else _point_inside(solid, "centre_of_mass_m", centre_of_mass_m)
+    is_homogeneous = inertia_tensor_kg_m2 is None
     if inertia_tensor_kg_m2 is not None:
         tensor = _checked_tensor(inertia_tensor_kg_m2)
+        inner_vertices(solid, corner_radius_m)
     elif centre is not None and centre.any():
         raise ValueError(
             f"centre_of_mass_m = {centre.tolist()} without an inertia tensor: wanted both, because the centre of mass "
             "alone does not give the inertia; give inertia_tensor_kg_m2, or use loaded_die"
         )
     else:
-        tensor = mass_kg * unit_inertia(solid)
-    inner_vertices(solid, corner_radius_m)
+        spread = mass_distribution(solid, corner_radius_m)
+        tensor, centre = mass_kg * spread.unit_inertia_m2, spread.centroid_m
+        if np.linalg.norm(centre) <= CENTRED_TOLERANCE * solid.circumradius:
+            centre = None
     mean = float(np.trace(tensor)) / 3.0
     is_isotropic = _isotropic_moment(tensor) is not None
-    return Die(solid, mass_kg, mean, corner_radius_m, marks, None if is_isotropic else tensor, centre)
+    tensor_given = None if is_isotropic else tensor
+    return Die(solid, mass_kg, mean, corner_radius_m, marks, tensor_given, centre, is_homogeneous)
 
 
 def loaded_die(
@@ -172,21 +194,23 @@ def loaded_die(
 ) -> Die:
     """A homogeneous solid of `mass_kg` with a point mass of `load_kg` at `load_position_m` (3,) from its centroid.
 
-    With M the mass of the solid, m that of the load and p its position, the centre of mass lies at m p/(M + m). The
-    tensor about it is that of the solid plus μ (p² 1 - p pᵀ), with μ = M m/(M + m), by the parallel axis theorem for
-    both parts. Raises ValueError for a mass that is not above 0, a load below 0, or a load outside the solid.
+    With M the mass of the solid, m that of the load and d its position from the centroid of the rounded body, the centre of
+    mass lies by m d/(M + m) from there. The tensor about it is that of the solid plus μ (d² 1 - d dᵀ), with
+    μ = M m/(M + m), by the parallel axis theorem for both parts. Raises ValueError for a mass that is not above 0, a load
+    below 0, or a load outside the solid.
     """
     check_positive("mass_kg", mass_kg)
     if not (np.isfinite(load_kg) and load_kg >= 0.0):
         raise ValueError(f"load_kg = {load_kg}: wanted a finite number, 0 or more")
     position = _point_inside(solid, "load_position_m", load_position_m)
-    total = mass_kg + load_kg
-    spread = float(position @ position) * np.eye(3) - np.outer(position, position)
+    body = mass_distribution(solid, corner_radius_m)
+    lever, share = position - body.centroid_m, load_kg / (mass_kg + load_kg)
+    spread = float(lever @ lever) * np.eye(3) - np.outer(lever, lever)
     return die_from_solid(
         solid,
-        total,
-        inertia_tensor_kg_m2=mass_kg * unit_inertia(solid) + mass_kg * (load_kg / total) * spread,
-        centre_of_mass_m=(load_kg / total) * position,
+        mass_kg + load_kg,
+        inertia_tensor_kg_m2=mass_kg * (body.unit_inertia_m2 + share * spread),
+        centre_of_mass_m=body.centroid_m + share * lever,
         corner_radius_m=corner_radius_m,
         marks=marks,
     )

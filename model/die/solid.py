@@ -1,8 +1,7 @@
-"""Convex polyhedra: vertices, faces, edges, inertia, and the inner polyhedron of a body with rounded corners.
+"""Convex polyhedra: vertices, faces, edges, and the inner polyhedron of a body with rounded corners.
 
-The five isohedral dice are homogeneous and sharp, and therefore spherical tops (Kapitaniak et al., Chaos 22, 047504,
-2012): their inertia tensor is a multiple of the identity. It is integrated over the volume rather than typed in, and
-the tests compare it with the paper's formulas. Any other convex solid can be a die as well, the paper's truncated
+The five isohedral dice are spherical tops if they are homogeneous (Kapitaniak et al., Chaos 22, 047504, 2012): their inertia
+tensor is a multiple of the identity (`mass_distribution`). Any other convex solid can be a die as well, the paper's truncated
 dipyramids among them.
 
 The body frame has its origin at the centroid. Face k carries the number k + 1. On the cube opposite faces add up to
@@ -179,26 +178,6 @@ def numbered_solid(solid: Solid, numbers: Sequence[int]) -> Solid:
     if sorted(numbers) != list(range(1, len(solid.faces) + 1)):
         raise ValueError(f"numbers = {list(numbers)} for a {solid.name}: wanted each of 1 to {len(solid.faces)} once")
     return _renumbered(solid, [int(k) for k in np.argsort(numbers)])
-
-
-def unit_inertia(solid: Solid) -> Array:
-    """Inertia tensor (3, 3) [m²] about the centroid of the homogeneous solid, for a mass of 1 kg.
-
-    The integral ∫ x xᵀ dV is summed over tetrahedra with corners pᵢ, spanned by the origin and the triangulated faces. Each
-    contributes V/20 (Σ pᵢ pᵢᵀ + s sᵀ), with V its volume and s the sum of its corners.
-    """
-    second = np.zeros((3, 3))
-    volume = 0.0
-    for face in solid.faces:
-        a = solid.vertices[face[0]]
-        for j in range(1, len(face) - 1):
-            b, c = solid.vertices[face[j]], solid.vertices[face[j + 1]]
-            part = float(a @ np.cross(b, c)) / 6.0
-            total = a + b + c
-            second += part / 20.0 * (np.outer(a, a) + np.outer(b, b) + np.outer(c, c) + np.outer(total, total))
-            volume += part
-    second /= volume
-    return np.asarray(np.trace(second) * np.eye(3) - second)
 
 
 def lowest_face(solid: Solid, rotation: ArrayLike) -> int:

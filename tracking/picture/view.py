@@ -275,7 +275,7 @@ def with_lens(view: View, lens: Lens) -> View:
 
 def with_corner_radius(view: View, radius_m: float) -> View:
     """The view of the same die with another corner radius [m]. Raises ValueError if it leaves no flat face."""
-    die = replace(view.die, corner_radius_m=radius_m)
+    die = view.die.with_corner_radius(radius_m)
     return replace(view, die=die, shape=_shape_of(die))
 
 

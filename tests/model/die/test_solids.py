@@ -7,6 +7,7 @@ import pytest
 from random_throws import DICE, random_quaternion
 
 from diethrow.model.die.die import Die, die_from_solid, loaded_die, make_die
+from diethrow.model.die.mass_distribution import mass_distribution
 from diethrow.model.die.solid import (
     SHAPES,
     convex_solid,
@@ -14,7 +15,6 @@ from diethrow.model.die.solid import (
     isohedral_solid,
     lowest_face,
     truncated_dipyramid,
-    unit_inertia,
 )
 from diethrow.model.die.symmetry import symmetry_rotations
 from diethrow.model.rotations import matrix_from_quat
@@ -43,7 +43,7 @@ COUNTS = {
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_inertia_is_that_of_the_paper_about_every_axis(shape):
-    inertia = unit_inertia(isohedral_solid(shape, EDGE_M))
+    inertia = mass_distribution(isohedral_solid(shape, EDGE_M)).unit_inertia_m2
     # Rounding of a sum over some thirty tetrahedra.
     np.testing.assert_allclose(inertia, PAPER_INERTIA[shape] * EDGE_M**2 * np.eye(3), rtol=0, atol=1e-13 * EDGE_M**2)
     assert DICE[shape].inertia_kg_m2 == pytest.approx(0.016 * PAPER_INERTIA[shape] * EDGE_M**2, rel=1e-13)
@@ -107,9 +107,9 @@ def test_a_moved_and_turned_solid_keeps_its_size_and_turns_its_inertia():
     for _ in range(5):
         rotation = matrix_from_quat(random_quaternion(rng))
         moved = convex_solid(points @ rotation.T + rng.normal(size=3))
-        expected = rotation @ unit_inertia(solid) @ rotation.T
+        expected = rotation @ mass_distribution(solid).unit_inertia_m2 @ rotation.T
         # A solid of centimetres a metre from the origin loses two digits, and the inertia is quadratic in it.
-        np.testing.assert_allclose(unit_inertia(moved), expected, atol=1e-11 * np.trace(expected))
+        np.testing.assert_allclose(mass_distribution(moved).unit_inertia_m2, expected, atol=1e-11 * np.trace(expected))
         np.testing.assert_allclose(moved.vertices, solid.vertices @ rotation.T, atol=1e-14)
 
 
@@ -119,7 +119,9 @@ def test_a_turned_cube_has_the_inertia_of_the_cube_and_points_inside_it_do_not_m
     rotation = matrix_from_quat(random_quaternion(rng))
     inside = rng.uniform(-0.4, 0.4, (20, 3)) * EDGE_M
     solid = convex_solid(np.vstack([cube.vertices, inside]) @ rotation.T + [0.3, -0.2, 0.1])
-    np.testing.assert_allclose(unit_inertia(solid), EDGE_M**2 / 6 * np.eye(3), atol=1e-12 * EDGE_M**2)
+    np.testing.assert_allclose(
+        mass_distribution(solid).unit_inertia_m2, EDGE_M**2 / 6 * np.eye(3), atol=1e-12 * EDGE_M**2
+    )
     assert (len(solid.vertices), len(solid.faces), len(solid.edges)) == (8, 6, 12)
 
 
@@ -127,7 +129,7 @@ def test_a_box_has_the_inertia_of_a_box():
     a, b, c = 0.01, 0.02, 0.05
     corners = np.array([(x, y, z) for x in (0, a) for y in (0, b) for z in (0, c)])
     expected = np.diag([b * b + c * c, a * a + c * c, a * a + b * b]) / 12
-    np.testing.assert_allclose(unit_inertia(convex_solid(corners)), expected, atol=1e-12 * c * c)
+    np.testing.assert_allclose(mass_distribution(convex_solid(corners)).unit_inertia_m2, expected, atol=1e-12 * c * c)
 
 
 @pytest.mark.parametrize("shape", SHAPES)

@@ -406,7 +406,7 @@ def _models(finest: Run, progress: Progress) -> Iterator[Setting]:
     chi = fit.parameters["chi"].value
     if fit.initial is None or chi is None:
         return
-    plain = replace(die, corner_radius_m=0.0)
+    plain = die.with_corner_radius(0.0)
     starts = _starts(plain, fit.initial)
     law = SmoothImpact(chi)
     exact = ThrowSetup(plain, law).throw(starts).face

@@ -238,7 +238,7 @@ def _die(plan: Plan, scene: Scene | None, settings: FilmSettings) -> Die:
         raise ValueError(
             f"corner_radius_m = {radius_m}: wanted at most {most:.4g}, {MAX_CORNER_RADIUS_FRACTION:g} inscribed radii"
         )
-    return replace(die, marks=marks, corner_radius_m=radius_m)
+    return replace(die.with_corner_radius(radius_m), marks=marks)
 
 
 def _appearance(die: Die, camera: Camera, settings: FilmSettings) -> Appearance:
@@ -471,6 +471,8 @@ background = "background.png"
 def scene_tables(camera: Camera, surface: str, die: Die) -> str:
     """The tables of a scene file that describe camera, table and die."""
     radius = f"corner_radius_m = {die.corner_radius_m!r}\n" if die.corner_radius_m else ""
+    is_stated = die.is_spherical_top and not die.is_homogeneous
+    inertia = f"inertia_kg_m2 = {die.inertia_kg_m2!r}\n" if is_stated else ""
     marks = f'marks = "{die.marks}"\n' if die.marks else ""
     return f"""[camera]
 width = {camera.width_px}
@@ -487,4 +489,4 @@ surface = "{surface}"
 shape = "{die.solid.name}"
 edge_m = {die.solid.edge_m!r}
 mass_kg = {die.mass_kg!r}
-{radius}{marks}"""
+{inertia}{radius}{marks}"""
