@@ -31,6 +31,7 @@ import re
 import sys
 import tempfile
 import time
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, as_completed
 from contextlib import contextmanager, suppress
@@ -67,6 +68,8 @@ Array = NDArray[np.float64]
 WRONG_DEG, WRONG_M, WRONG_SIGMAS = 5.0, 1e-3, 5.0
 WRONG_SQUARED = float(chi2.isf(chi2.sf(WRONG_SIGMAS**2, 1), 6))
 """Squared Mahalanobis distance of six components as improbable as 5 standard deviations of one: 43."""
+CALLS = 6
+"""Calls, from the innermost, that the record of a crash names."""
 DEFAULT_CACHE = Path.home() / ".cache" / "diethrow" / "population"
 
 
@@ -159,7 +162,8 @@ def clip_result(clips: Path, seed: int, number: int, quality: str, kinds: tuple[
     except (RunError, SceneError) as error:
         result |= {"outcome": "refused", "reason": str(error)}
     except Exception as error:  # a crash on one clip is a result of the benchmark
-        result |= {"outcome": "crashed", "reason": f"{type(error).__name__}: {error}"}
+        calls = [f"{Path(call.filename).name}:{call.lineno}" for call in traceback.extract_tb(error.__traceback__)]
+        result |= {"outcome": "crashed", "reason": f"{type(error).__name__}: {error} ({' > '.join(calls[-CALLS:])})"}
     return result | {"seconds": round(time.perf_counter() - began, 2)}
 
 
