@@ -32,7 +32,7 @@ from diethrow.files.scene import read_scene
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotvec_from_quat
 from diethrow.tracking.clip_parameters import BLUR_FRAMES, estimate_lens, with_light
 from diethrow.tracking.footage import FrameSource, clip_in_light, estimate_background, level_grey
-from diethrow.tracking.picture import PixelNoise, View, independent_share, make_view, pixel_noise, with_lens
+from diethrow.tracking.picture import LINES, PixelNoise, View, independent_share, make_view, pixel_noise, with_lens
 from diethrow.tracking.pose import ClipPoses, Pose, pose_state, refine_pose
 
 Array = NDArray[np.float64]
@@ -148,8 +148,10 @@ def errors_of_frames(view: View, edges_alone: bool, source: FrameSource, poses: 
         start = pose_state(poses.position_m[k], poses.rotation[k], motion[:3], motion[3:])
         image = np.asarray(source.frame(k), np.float32)
         found.append(refine_pose(view, image, start, coarse=0, edges_alone=edges_alone))
-    share = independent_share(np.array([pose.statistics for pose in found]))
-    return np.array([frame_errors(view, poses, k, pose, share) for k, pose in zip(rows.tolist(), found, strict=True)])
+    statistics = np.array([pose.statistics for pose in found])
+    by_edges = statistics[:, LINES] > 0.0
+    shares = np.where(by_edges, independent_share(statistics[by_edges]), 1.0)
+    return np.array([frame_errors(view, poses, *each) for each in zip(rows.tolist(), found, shares, strict=True)])
 
 
 def frame_errors(view: View, poses: ClipPoses, k: int, pose: Pose, share: float) -> Array:

@@ -210,10 +210,7 @@ class Physics:
         if name in TABLE_MOTION:
             return float(getattr(self.table, name.removeprefix("table_")))
         if name == "inertia_kg_m2":
-            # That of the body with the fitted radius.
-            return self.die.with_corner_radius(
-                self.values.get("corner_radius_m", self.die.corner_radius_m)
-            ).inertia_kg_m2
+            return self._rounded_die.inertia_kg_m2
         return _NEUTRAL.get(name, 0.0)
 
     def with_values(self, **values: float) -> Physics:
@@ -274,11 +271,15 @@ class Physics:
         return FrictionBySpeed(faded, 1.0 / max(self.values["mu_fade_s_per_m"], _MIN_FADE_S_PER_M))
 
     @cached_property
+    def _rounded_die(self) -> Die:
+        """The die with the fitted radius, whose inertia follows if it is homogeneous."""
+        radius_m = self.values.get("corner_radius_m")
+        return self.die if radius_m is None else self.die.with_corner_radius(radius_m)
+
+    @cached_property
     def body(self) -> Die:
         """The die with the fitted radius, inertia and centre of mass."""
-        die = self.die
-        if "corner_radius_m" in self.values:
-            die = die.with_corner_radius(self.values["corner_radius_m"])
+        die = self._rounded_die
         if "inertia_kg_m2" in self.values:
             die = replace(die, inertia_kg_m2=self.values["inertia_kg_m2"], is_homogeneous=False)
         if CENTRE_OF_MASS[0] in self.values:

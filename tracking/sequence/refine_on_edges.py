@@ -106,6 +106,7 @@ class EdgeRefinement:
         for attempt in attempts[1:]:
             other = attempt.poses(count)
             poses.take(np.flatnonzero(other.known & (~poses.known | (other.cost < poses.cost))), other)
+        # Whole surfaces have a share of independent pixels of their own, in each picture.
         by_edges = np.flatnonzero(poses.known & (poses.statistics[:, LINES] > 0.0))
         poses.H[by_edges] *= independent_share(poses.statistics[by_edges])
         return with_labels_of_flights(view, poses, reference, tracked)

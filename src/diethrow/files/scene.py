@@ -521,7 +521,7 @@ def die_from(table: DieTable, path: Path) -> Die:
         guess = _unit_guess(radius, (1e-3, 1e-6), lambda radius: radius <= largest)
         wanted = f"wanted metres, at most {MAX_CORNER_RADIUS_FRACTION:g} of the inscribed radius, {largest:.4g}{guess}"
         raise refuse(path, "die.corner_radius_m", radius, wanted)
-    _check_inertia(table, die, path)
+    _check_inertia(table, die.with_corner_radius(radius), path)
     return make_die(
         table.shape,
         table.edge_m,
