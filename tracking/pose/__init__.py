@@ -3,7 +3,8 @@
 `pose_candidates` finds candidates on a frame without any input, `manual_initial_pose` takes a pose or clicks from a
 person, and `refine_pose` refines a pose on the edges of its frame and gives its covariance. `refine_and_score` and
 `refine_frames` do that in compiled code, for one frame and for many; `tracking.sequence` and `tracking.clip_parameters`
-call them. `ClipPoses` holds the poses of all frames of a clip, `SampledFrames` a sample of frames with their pictures.
+call them. `reversed_pose` is the pose that draws nearly the same outline with near and far exchanged. `ClipPoses` holds
+the poses of all frames of a clip, `SampledFrames` a sample of frames with their pictures.
 """
 
 from .candidate_poses import SAME_POSE_EDGES as SAME_POSE_EDGES
@@ -19,6 +20,8 @@ from .clip_poses import exposure_times_s as exposure_times_s
 from .clip_poses import longest_stride as longest_stride
 from .clip_poses import power_of_two as power_of_two
 from .clip_poses import wholly_in_view as wholly_in_view
+from .depth_reversals import half_turn_about_sight as half_turn_about_sight
+from .depth_reversals import reversed_pose as reversed_pose
 from .manual_pose import FEWEST_CLICKS as FEWEST_CLICKS
 from .manual_pose import Click as Click
 from .manual_pose import ManualInitialisation as ManualInitialisation

@@ -52,11 +52,13 @@ class ClipPoses:
     """(n,) pose cost, see `pose_costs`."""
     bias_jacobian: Array
     """(n, 6, 2) change of each pose by contour error and response, see `bias_jacobians`; NaN where it follows from H."""
+    begins: Mask
+    """(n,) rows on which tracking began another flight."""
     frame_stride: int = 1
     """Rows that are multiples of this one represent all: where little moves, those between may have been left out."""
 
     _COLUMNS: ClassVar = (
-        "known", "position_m", "rotation", "motion", "H", "statistics", "cost", "bias_jacobian",
+        "known", "position_m", "rotation", "motion", "H", "statistics", "cost", "bias_jacobian", "begins",
     )  # fmt: skip
 
     @staticmethod
@@ -65,6 +67,7 @@ class ClipPoses:
         return ClipPoses(
             np.zeros(n, bool), np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.zeros((n, 6)),
             np.zeros((n, PARAMETERS, PARAMETERS)), np.zeros((n, STATISTICS)), np.full(n, np.inf), np.full((n, 6, 2), np.nan),
+            np.zeros(n, bool),
         )  # fmt: skip
 
     @property
@@ -87,15 +90,15 @@ class ClipPoses:
         """(n,) see `costs_with_edge_noise`."""
         return costs_with_edge_noise(self.cost, self.statistics)
 
-    def put(self, k: int, pose: Pose, motion: Array) -> None:
+    def put(self, k: int, pose: Pose, motion: Array, begins: bool = False) -> None:
         """Write the pose of one frame."""
-        self.known[k] = True
+        self.known[k], self.begins[k] = True, begins
         self.position_m[k], self.rotation[k], self.motion[k] = pose.position_m, pose.rotation, motion
         self.H[k], self.statistics[k], self.cost[k] = pose.H, pose.statistics, pose.cost
 
     def put_rows(self, rows: Rows, found: PoseRows) -> None:
         """Write the poses of some frames, as the kernels return them."""
-        self.known[rows] = True
+        self.known[rows], self.begins[rows] = True, False
         self.position_m[rows], self.rotation[rows], self.motion[rows] = found.position, found.rotation, found.motion
         self.H[rows], self.statistics[rows], self.cost[rows] = found.H, found.statistics, found.cost
 

@@ -4,21 +4,17 @@ A wire cube can be seen in two ways (Necker, London and Edinburgh Phil. Mag. 1, 
 near and far exchanged it draws the same, except for perspective and for interior edges. A tetrahedron that turns one face to the
 camera becomes one that points at it with a corner, whose three edges are invisible, as if its faces were of one grey. In flight
 the reversal rotates nearly as evenly as the die does, and single frames hardly distinguish the two. Many frames do: poses of the
-reversal do not lie on a motion with the fall of g, as those of the die do.
-
-The vertices of a die, reflected through its centre, are those of the die rotated by some T (the identity, except for the
-tetrahedron). The depth reversal of an orientation R, seen along u, is a half turn about u of R T."""
+reversal do not lie on a motion with the fall of g, as those of the die do."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.die import inversion_rotation
 from ..flights import fit_flights
 from ..footage import FrameSource
 from ..picture import View
-from ..pose import ClipPoses, Pose, as_track, pose_state, refine_pose, same_picture
+from ..pose import ClipPoses, Pose, as_track, half_turn_about_sight, reversed_pose
 from ..throw import UNMODELLED_SHARE, weighted_poses
 from ..track import Track
 from .frame_to_frame import FrameTracker
@@ -60,21 +56,6 @@ MAX_ROUNDS = 3
 """Rounds of the search: runs that were corrected may reveal others."""
 MOTION_FRAMES = 8
 """Frames over which the motion of the reversal is learned, before it is tracked to both ends of the run."""
-
-
-def reversed_in_depth(view: View, position_m: Array, rotation: Array) -> Array | None:
-    """The orientation (3, 3) that draws nearly the same outline with near and far exchanged, along the line of sight of the first
-    camera; None for a solid that has none."""
-    inversion = inversion_rotation(view.die.solid)
-    if inversion is None:
-        return None
-    return np.asarray(_half_turn(view, position_m) @ rotation @ inversion)
-
-
-def _half_turn(view: View, position_m: Array) -> Array:
-    """(3, 3) half turn about the line of sight of the first camera."""
-    along = (position_m - view.camera.centre_m) / np.linalg.norm(position_m - view.camera.centre_m)
-    return np.asarray(2.0 * np.outer(along, along) - np.eye(3))
 
 
 def correct_depth_reversals(view: View, source: FrameSource, poses: ClipPoses, unused: Mask) -> ClipPoses:
@@ -175,19 +156,16 @@ def _chi2_ratio(view: View, source: FrameSource, poses: ClipPoses, other: ClipPo
 
 def _reversed_rates(view: View, poses: ClipPoses, k: int) -> Array:
     """(6,) velocity [m/s] and spin [rad/s] of the reversal on one frame."""
-    return np.concatenate([poses.motion[k, :3], _half_turn(view, poses.position_m[k]) @ poses.motion[k, 3:]])
+    return np.concatenate([poses.motion[k, :3], half_turn_about_sight(view, poses.position_m[k]) @ poses.motion[k, 3:]])
 
 
 def _reversal(view: View, source: FrameSource, poses: ClipPoses, k: int) -> Pose | None:
     """The reversal of the pose on one frame, if it is a different pose and explains the picture nearly as well."""
-    rotation = reversed_in_depth(view, poses.position_m[k], poses.rotation[k])
-    if rotation is None:
+    picture = np.asarray(source.frame(k), np.float32)
+    pose = reversed_pose(view, picture, poses.position_m[k], poses.rotation[k])
+    if pose is None or pose.cost_with_edge_noise > poses.cost_with_edge_noise[k] + REVERSAL_MISFIT:
         return None
-    picture, here = np.asarray(source.frame(k), np.float32), (poses.position_m[k], poses.rotation[k])
-    pose = refine_pose(view, picture, pose_state(here[0], rotation), coarse=2, roughly=True)
-    if pose.covariance is None or pose.cost_with_edge_noise > poses.cost_with_edge_noise[k] + REVERSAL_MISFIT:
-        return None
-    return None if same_picture(view, here, (pose.position_m, pose.rotation)) else pose
+    return pose
 
 
 def _tracked_from(

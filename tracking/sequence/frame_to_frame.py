@@ -267,7 +267,7 @@ class FrameTracker:
             k = int(order[done])
             found = self._pose_by_hypotheses(np.asarray(frames[k], np.float32), float(times_s[first + k]))
             if found is not None:
-                poses.put(first + k, found, self.motion[3:].copy())
+                poses.put(first + k, found, self.motion[3:].copy(), begins=self.clock[2] <= 1.0)
             self._learn_motion(first + k, times_s, poses)
             done += 1
             if self.backwards and self.misses > BACKWARDS_MISSES:

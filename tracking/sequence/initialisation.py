@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from ...model.rotations import quat_from_matrix, rotation_between
 from ...model.world import GRAVITY_M_S2
+from ..flights import WeightedPoses, fit_flight
 from ..footage import FrameSource
 from ..picture import View
 from ..pose import (
@@ -29,17 +30,19 @@ from ..pose import (
     ClipPoses,
     ManualInitialisation,
     Pose,
+    covariances,
     die_blobs,
     manual_initial_pose,
     pose_candidates,
+    reversed_pose,
     same_picture,
     seen_distance_m,
     velocity_across_m_s,
     weak_priors,
 )
 from ..throw import TABLE_REACH
-from .acceptance import FASTEST_M_S, HEIGHT_SIGMAS, MIN_POSES_OF_FLIGHT
-from .frame_to_frame import MOST_CANDIDATES, FrameTracker
+from .acceptance import AMBIGUOUS_COST, BOUNCE_REACH, FASTEST_M_S, HEIGHT_SIGMAS, MIN_POSES_OF_FLIGHT
+from .frame_to_frame import MOST_CANDIDATES, FrameTracker, widest_sigma
 from .impact_trials import motion_of_poses
 from .motion_filter import lowest_m
 
@@ -79,7 +82,7 @@ FULL_STAGE = STAGES[1]
 HALF_STAGE = STAGES[2]
 """Frames from which on evenness decides: right hypotheses take some frames to converge."""
 REJECTION_MISFIT = 0.3
-"""Misfit above the least by which a hypothesis is rejected."""
+"""Misfit above the least by which a hypothesis is rejected, that of the motion included from HALF_STAGE on."""
 CONTRADICTING_MISFIT = 0.1
 """Misfit below that of the winner by which an uneven hypothesis contradicts it: among wrong hypotheses one may move evenly. A
 right one is hardly worse than those that its own frames draw away from it."""
@@ -102,18 +105,27 @@ class Score:
     """How well pictures and motion support a hypothesis."""
 
     misfit: float
-    """Mean misfit of the pictures."""
+    """Mean misfit of the second half of the pictures."""
     unevenness: float = 0.0
     """Departure from the motion of a die in flight, in units of UNEVEN_EDGES and UNEVEN_RAD."""
     since: int = 0
     """First row of the hypothesis that this covers."""
     until: int = 1
     """Row behind the last."""
+    log_scatter: float = 0.0
+    """Logarithm of the residual standard deviation of all poses about one flight, in units of their standard errors: the misfit
+    of the motion, as that of the pictures holds the logarithm of the noise that they leave. 0 at the least, and before
+    HALF_STAGE."""
+
+    @property
+    def evidence(self) -> float:
+        """Misfit of pictures and motion."""
+        return self.misfit + self.log_scatter
 
     @property
     def total(self) -> float:
-        """What hypotheses are ordered by, the best first."""
-        return self.misfit + self.unevenness
+        """What hypotheses are ordered by, the best first: the evidence once it holds the motion, whose errors it knows."""
+        return self.evidence if self.until >= HALF_STAGE else self.misfit + self.unevenness
 
 
 @dataclass(eq=False)
@@ -127,6 +139,10 @@ class Hypothesis:
     """At the last stage at which any hypothesis moved as a die does."""
     competitors: int = 0
     """Other poses that are as good at the end, or uneven with a smaller misfit."""
+    flies_until: int = STAGES[-1]
+    """Row of the first impact on the way, where another flight began near the table; more than all rows if there was none."""
+    before_impact: FrameTracker | None = None
+    """The tracker as it was before that row."""
 
     @property
     def support(self) -> float:
@@ -317,8 +333,17 @@ def best_hypothesis(view: View, source: FrameSource, k: int, unused: Mask) -> Hy
 
 
 def _candidates(view: View, source: FrameSource, k: int, rate_px_s: Array) -> list[Pose]:
-    """Candidate poses of frame k."""
-    return [pose for _, pose in pose_candidates(view, np.asarray(source.frame(k), np.float32), rate_px_s)]
+    """Candidate poses of frame k, and their depth reversals that explain it as well."""
+    picture = np.asarray(source.frame(k), np.float32)
+    kept = [pose for _, pose in pose_candidates(view, picture, rate_px_s)]
+    least = min((pose.cost for pose in kept), default=np.inf)
+    for pose in tuple(kept):
+        other = reversed_pose(view, picture, pose.position_m, pose.rotation)
+        if other is not None and other.cost < least + AMBIGUOUS_COST:
+            places = [(one.position_m, one.rotation) for one in kept]
+            if not any(same_picture(view, place, (other.position_m, other.rotation)) for place in places):
+                kept.append(other)
+    return kept
 
 
 def _best_tracked(
@@ -326,23 +351,42 @@ def _best_tracked(
 ) -> Hypothesis | None:
     """The best of some hypotheses that begin on frame k, tracked stage by stage over the frames left; None if all are lost."""
     for stage in sorted({min(stage, left) for stage in STAGES}):
+        leader = hypotheses[0] if stage > FULL_STAGE and hypotheses else None
         scored = [(h, score) for h in hypotheses if (score := _tracked_to(h, view, source, k, stage)) is not None]
+        if leader is not None and FULL_STAGE <= leader.flies_until < stage:
+            # What the others do behind that tells nothing: compared is the flight before.
+            return _winner(view, source, k, _best_until(view, source, k, hypotheses, leader.flies_until))
         # Past an impact no hypothesis moves evenly: of those still on the die, the one that led before it has won.
         even = [(h, score) for h, score in scored if score.unevenness < UNEVEN or stage < min(HALF_STAGE, left)]
         if not even:
             tracked = [h for h, _ in scored]
             remaining = [h for h in hypotheses if h in tracked] or hypotheses
             return _winner(view, source, k, remaining) if stage > FULL_STAGE else None
-        least = min(score.misfit for _, score in even)
+        least = min(score.evidence for _, score in even)
+        rejected = REJECTION_MISFIT if stage >= HALF_STAGE else AMBIGUOUS_COST
         for hypothesis, score in even:
             hypothesis.score = score
-        near = [h for h, score in even if score.misfit < least + REJECTION_MISFIT]
+        near = [h for h, score in even if score.evidence < least + rejected]
         hypotheses = _distinct(view, sorted(near, key=lambda h: h.score.total))
         uneven = [score.misfit for _, score in scored if score.unevenness >= UNEVEN]
         contradicting = sum(misfit < hypotheses[0].score.misfit - CONTRADICTING_MISFIT for misfit in uneven)
         if len(hypotheses) == 1 and stage >= FULL_STAGE and hypotheses[0].is_certain:
             break
     return _winner(view, source, k, hypotheses, contradicting)
+
+
+def _best_until(view: View, source: FrameSource, k: int, hypotheses: list[Hypothesis], until: int) -> list[Hypothesis]:
+    """The hypotheses that explain the frames before a row best, the best first, with these scores and these frames alone."""
+    tracked = [hypothesis for hypothesis in hypotheses if hypothesis.poses.known[:until].sum() >= until - 1]
+    for hypothesis in tracked:
+        hypothesis.score = _score(view, hypothesis.poses, source.times_s[k:], 0, until)
+    least = min(hypothesis.score.evidence for hypothesis in tracked)
+    near = [hypothesis for hypothesis in tracked if hypothesis.score.evidence < least + REJECTION_MISFIT]
+    for hypothesis in near:
+        if hypothesis.before_impact is not None:
+            hypothesis.tracker = hypothesis.before_impact
+            hypothesis.poses.known[hypothesis.flies_until :] = False
+    return sorted(near, key=lambda hypothesis: hypothesis.score.total)
 
 
 def _winner(
@@ -422,9 +466,12 @@ def _tracked_to(hypothesis: Hypothesis, view: View, source: FrameSource, k: int,
     """The score of a hypothesis, tracked up to so many frames; None if the die was lost on the way, or went into the table."""
     tracker, poses, times_s = hypothesis.tracker, hypothesis.poses, source.times_s[k:]
     for j in range(tracker.next_frame, stage):
+        before = _copied(tracker)
         tracker.track(source.frame(k + j)[None], times_s, j, poses)
         if tracker.misses > 1:
             return None
+        if j < hypothesis.flies_until and tracker.clock[2] < MIN_POSES_OF_FLIGHT < j and _may_have_touched(tracker):
+            hypothesis.flies_until, hypothesis.before_impact = j, before
     if poses.known[:stage].sum() < stage - 1 or _is_below_table(tracker):
         return None
     # An initial pose that was a little off takes some frames to converge, and a wrong one may become right when the die shows
@@ -432,6 +479,20 @@ def _tracked_to(hypothesis: Hypothesis, view: View, source: FrameSource, k: int,
     since = stage // 2 if stage > FULL_STAGE else 0
     whole = _score(view, poses, times_s, 0, stage)
     return whole if whole.unevenness < EVEN else _score(view, poses, times_s, since, stage)
+
+
+def _copied(tracker: FrameTracker) -> FrameTracker:
+    """A tracker that goes on from the same motion."""
+    motion, rotation, P, clock = (some.copy() for some in (tracker.motion, tracker.rotation, tracker.P, tracker.clock))
+    copy = FrameTracker(tracker.view, motion, rotation, P, clock, tracker.unused)
+    copy.next_frame = tracker.next_frame
+    return copy
+
+
+def _may_have_touched(tracker: FrameTracker) -> bool:
+    """Whether the die lies so near the table that an impact may have occurred since the frame before."""
+    lowest = float(lowest_m(tracker.view.shape, tracker.motion[:3], tracker.rotation))
+    return lowest < BOUNCE_REACH * tracker.view.reach_m + HEIGHT_SIGMAS * widest_sigma(tracker.P, 0)
 
 
 def _is_below_table(tracker: FrameTracker) -> bool:
@@ -444,8 +505,25 @@ def _is_below_table(tracker: FrameTracker) -> bool:
 
 def _score(view: View, poses: ClipPoses, times_s: Array, since: int, until: int) -> Score:
     """The score of poses from row `since` to before `until`."""
-    misfit = float(poses.cost_with_edge_noise[since:until][poses.known[since:until]].mean())
-    return Score(misfit, _unevenness(view, poses, times_s, since, until), since, until)
+    # An initial pose that was a little off takes some frames to converge.
+    settled = slice((since + until) // 2, until)
+    misfit = float(poses.cost_with_edge_noise[settled][poses.known[settled]].mean())
+    scatter = log_scatter(view, poses, times_s, np.flatnonzero(poses.known[:until])) if until >= HALF_STAGE else 0.0
+    return Score(misfit, _unevenness(view, poses, times_s, since, until), since, until, scatter)
+
+
+def log_scatter(view: View, poses: ClipPoses, times_s: Array, rows: Rows) -> float:
+    """Logarithm of the residual standard deviation of the poses on some rows about one flight, in units of their standard errors;
+    0 at the least, and where fewer than three pictures determine a pose."""
+    covariance = covariances(poses.H[rows, :6, :6])
+    determined = np.isfinite(covariance[:, 0, 0])
+    rows, covariance = rows[determined], covariance[determined]
+    if len(rows) < 3:
+        return 0.0
+    position_m, quaternion = poses.position_m[rows], quat_from_matrix(poses.rotation[rows])
+    exposed_s = times_s[rows] + view.exposure_delay_s(position_m)
+    _, _, chi2 = fit_flight(WeightedPoses.from_poses(exposed_s, position_m, quaternion, covariance))
+    return max(0.5 * float(np.log(chi2 / (6 * len(rows) - 12))), 0.0)
 
 
 def _unevenness(view: View, poses: ClipPoses, times_s: Array, since: int, until: int) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -264,6 +265,27 @@ def test_flights_exclude_corners_that_a_codec_draws(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(tracking_pass, "_radius_from_pictures", lambda *_: CornerRadius(0.5e-3, 0.1e-3))
     monkeypatch.setattr(tracking_pass, "_radius_trials", lambda *_: pytest.fail("tracked with rounded corners"))
     assert sharp_tracked(CornerRounding.TESTED).corners is None
+
+
+@pytest.mark.parametrize(
+    ("contacts", "found_px", "sigma_px", "is_sharp"),
+    [
+        (("vertex",), 0.1, 0.02, True), (("vertex", "unresolved"), 0.1, 0.02, True), (("unresolved",), 0.1, 0.02, False),
+        ((), 0.0, 0.02, False), (("vertex",), 0.1, 0.3, False), (("vertex",), -0.4, 0.02, False),
+        (("vertex",), -0.9, 0.02, False),
+    ],
+)  # fmt: skip
+def test_flights_exclude_a_radius_where_a_corner_touches_and_the_contour_is_that_of_a_sharp_die(
+    monkeypatch: pytest.MonkeyPatch, contacts: tuple[str, ...], found_px: float, sigma_px: float, is_sharp: bool
+) -> None:
+    """Beside a radius that would move the contour by a pixel. A die whose contour lies between the two is rounded by less."""
+    impacts = [SimpleNamespace(contact=contact) for contact in contacts]
+    chain = SimpleNamespace(shared=np.array([found_px]), contour_sigma_px=sigma_px)
+    measured = SimpleNamespace(throw=SimpleNamespace(impacts=impacts), chain=chain)
+    monkeypatch.setattr(tracking_pass, "measure", lambda *_: measured)
+    monkeypatch.setattr(tracking_pass, "contour_sigma_px", lambda *_: 1.0)
+    source = FrameSource([ArrayClip(np.zeros((8, 4, 4), np.uint8), np.arange(8) / FPS, 8)])
+    assert tracking_pass._flies_as_sharp(STUDIO.view(CUBE), ClipPoses.empty(8), source, 1e-3) is is_sharp
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,9 @@ from diethrow.model.throw.motion import Flight, State
 from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.clip_poses import ClipPoses
+from diethrow.tracking.pose.depth_reversals import reversed_in_depth
 from diethrow.tracking.pose.refine import pose_state, refine_pose
-from diethrow.tracking.sequence.depth_reversal import correct_depth_reversals, reversed_in_depth
+from diethrow.tracking.sequence.depth_reversal import correct_depth_reversals
 
 FRAMES = 48
 NONE_UNUSED = np.zeros(FRAMES, bool)
