@@ -114,6 +114,8 @@ class Draw:
         exposed = self.exposure_s * self.fps
         found = [self.die.solid.name, "marked" if self.die.marks else "plain"]
         found.append("sharp" if share == 0 else "rounded to 5 %" if share < 0.05 else "rounded over 5 %")
+        if self.die.corner_radius_m > 0.5 * self.die.solid.inradius:
+            found.append("rounded over half the inscribed radius")
         if self.gloss > 0:
             found.append("glossy")
         if self.response != "linear":

@@ -142,7 +142,7 @@ class Hypothesis:
     flies_until: int = STAGES[-1]
     """Row of the first impact on the way, where another flight began near the table; more than all rows if there was none."""
     before_impact: FrameTracker | None = None
-    """The tracker as it was before that row."""
+    """A tracker with the motion before that row."""
 
     @property
     def support(self) -> float:
@@ -376,11 +376,12 @@ def _best_tracked(
 
 
 def _best_until(view: View, source: FrameSource, k: int, hypotheses: list[Hypothesis], until: int) -> list[Hypothesis]:
-    """The hypotheses that explain the frames before a row best, the best first, with these scores and these frames alone."""
+    """The hypotheses that explain the frames before a row best, the best first, with these scores; of those that pass an impact
+    only the frames before it."""
     tracked = [hypothesis for hypothesis in hypotheses if hypothesis.poses.known[:until].sum() >= until - 1]
     for hypothesis in tracked:
         hypothesis.score = _score(view, hypothesis.poses, source.times_s[k:], 0, until)
-    least = min(hypothesis.score.evidence for hypothesis in tracked)
+    least = min((hypothesis.score.evidence for hypothesis in tracked), default=np.inf)
     near = [hypothesis for hypothesis in tracked if hypothesis.score.evidence < least + REJECTION_MISFIT]
     for hypothesis in near:
         if hypothesis.before_impact is not None:
@@ -466,12 +467,14 @@ def _tracked_to(hypothesis: Hypothesis, view: View, source: FrameSource, k: int,
     """The score of a hypothesis, tracked up to so many frames; None if the die was lost on the way, or went into the table."""
     tracker, poses, times_s = hypothesis.tracker, hypothesis.poses, source.times_s[k:]
     for j in range(tracker.next_frame, stage):
-        before = _copied(tracker)
+        before = tuple(some.copy() for some in (tracker.motion, tracker.rotation, tracker.P, tracker.clock))
         tracker.track(source.frame(k + j)[None], times_s, j, poses)
         if tracker.misses > 1:
             return None
         if j < hypothesis.flies_until and tracker.clock[2] < MIN_POSES_OF_FLIGHT < j and _may_have_touched(tracker):
-            hypothesis.flies_until, hypothesis.before_impact = j, before
+            hypothesis.flies_until = j
+            hypothesis.before_impact = FrameTracker(tracker.view, *before, tracker.unused)
+            hypothesis.before_impact.next_frame = j
     if poses.known[:stage].sum() < stage - 1 or _is_below_table(tracker):
         return None
     # An initial pose that was a little off takes some frames to converge, and a wrong one may become right when the die shows
@@ -479,14 +482,6 @@ def _tracked_to(hypothesis: Hypothesis, view: View, source: FrameSource, k: int,
     since = stage // 2 if stage > FULL_STAGE else 0
     whole = _score(view, poses, times_s, 0, stage)
     return whole if whole.unevenness < EVEN else _score(view, poses, times_s, since, stage)
-
-
-def _copied(tracker: FrameTracker) -> FrameTracker:
-    """A tracker that goes on from the same motion."""
-    motion, rotation, P, clock = (some.copy() for some in (tracker.motion, tracker.rotation, tracker.P, tracker.clock))
-    copy = FrameTracker(tracker.view, motion, rotation, P, clock, tracker.unused)
-    copy.next_frame = tracker.next_frame
-    return copy
 
 
 def _may_have_touched(tracker: FrameTracker) -> bool:
@@ -523,7 +518,7 @@ def log_scatter(view: View, poses: ClipPoses, times_s: Array, rows: Rows) -> flo
     position_m, quaternion = poses.position_m[rows], quat_from_matrix(poses.rotation[rows])
     exposed_s = times_s[rows] + view.exposure_delay_s(position_m)
     _, _, chi2 = fit_flight(WeightedPoses.from_poses(exposed_s, position_m, quaternion, covariance))
-    return max(0.5 * float(np.log(chi2 / (6 * len(rows) - 12))), 0.0)
+    return 0.5 * float(np.log(max(chi2 / (6 * len(rows) - 12), 1.0)))
 
 
 def _unevenness(view: View, poses: ClipPoses, times_s: Array, since: int, until: int) -> float:

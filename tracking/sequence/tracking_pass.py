@@ -301,9 +301,10 @@ def _of_no_flight(view: View, source: FrameSource, poses: ClipPoses) -> Mask:
     for flight in np.split(known, np.flatnonzero(poses.begins[known])):
         # The first poses have not converged, and the last may lie behind the impact.
         rows = flight[SETTLING_FRAMES:-1]
-        for window in _windows(rows):
+        windows = _windows(rows)
+        for window in windows:
             out[window] = True
-        for window in _windows(rows):
+        for window in windows:
             if log_scatter(view, poses, source.times_s, window) < NO_FLIGHT_LOG_SCATTER:
                 out[window] = False
     return out
