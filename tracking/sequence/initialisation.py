@@ -467,13 +467,15 @@ def _tracked_to(hypothesis: Hypothesis, view: View, source: FrameSource, k: int,
     """The score of a hypothesis, tracked up to so many frames; None if the die was lost on the way, or went into the table."""
     tracker, poses, times_s = hypothesis.tracker, hypothesis.poses, source.times_s[k:]
     for j in range(tracker.next_frame, stage):
-        before = tuple(some.copy() for some in (tracker.motion, tracker.rotation, tracker.P, tracker.clock))
+        motion, rotation, P, clock = (
+            some.copy() for some in (tracker.motion, tracker.rotation, tracker.P, tracker.clock)
+        )
         tracker.track(source.frame(k + j)[None], times_s, j, poses)
         if tracker.misses > 1:
             return None
         if j < hypothesis.flies_until and tracker.clock[2] < MIN_POSES_OF_FLIGHT < j and _may_have_touched(tracker):
             hypothesis.flies_until = j
-            hypothesis.before_impact = FrameTracker(tracker.view, *before, tracker.unused)
+            hypothesis.before_impact = FrameTracker(tracker.view, motion, rotation, P, clock, tracker.unused)
             hypothesis.before_impact.next_frame = j
     if poses.known[:stage].sum() < stage - 1 or _is_below_table(tracker):
         return None
