@@ -47,13 +47,11 @@ from ..throw import SMALL_MOVE_REACH, SMALL_TURN_RAD
 from .acceptance import (
     ACCEPTED_EXCESS_COST,
     AMBIGUOUS_COST,
-    BOUNCE_REACH,
     CLEAR_SUPPORT,
     FASTEST_CENTRE_FACTOR,
     FASTEST_FACTOR,
     FASTEST_FACTOR_BACKWARDS,
     FASTEST_M_S,
-    HEIGHT_SIGMAS,
     KNOWN_RAD,
     MAX_EXCESS_COST,
     MIN_POSES_OF_FLIGHT,
@@ -74,13 +72,14 @@ from .impact_trials import (
     costs_on_one_window,
     different_rates,
     initial_covariance,
+    is_high,
     motion_of_poses,
+    widest_sigma,
 )
 from .motion_filter import (
     FIRST_POSES_RAD,
     FIRST_POSES_REACH,
     MotionEstimate,
-    lowest_m,
     motion_prior,
     predict_motion,
     predicted_delay,
@@ -416,7 +415,11 @@ class FrameTracker:
         shows the die there beyond doubt. Poses of a half-hidden die are explained by none of these."""
         if self._is_as_predicted(pose, expected, P):
             return True
-        reach, high, (far_m, _) = self.view.reach_m, self._is_high(expected, P), self._far(expected, P)
+        reach, high, (far_m, _) = (
+            self.view.reach_m,
+            is_high(self.view, expected.position_m, expected.rotation, P),
+            self._far(expected, P),
+        )
         dt = expected.time_s - float(self.clock[0])
         speed = float(np.linalg.norm(expected.velocity_m_s)) + reach * float(np.linalg.norm(expected.omega_rad_s))
         moved = float(np.linalg.norm(pose.position_m - self.motion[:3]))
@@ -438,15 +441,10 @@ class FrameTracker:
 
     def _far(self, expected: State, P: Array) -> tuple[float, float]:
         """Distance [m] and angle [rad] from the prediction beyond which a pose belongs to another flight."""
-        high = self._is_high(expected, P)
+        high = is_high(self.view, expected.position_m, expected.rotation, P)
         reach, rad = (FIRST_POSES_REACH, FIRST_POSES_RAD) if high else (NEW_FLIGHT_REACH, NEW_FLIGHT_RAD)
         sigmas = PREDICTED_SIGMAS * widest_sigma(P, 0), PREDICTED_SIGMAS * widest_sigma(P, 3)
         return max(reach * self.view.reach_m, sigmas[0]), max(rad, sigmas[1])
-
-    def _is_high(self, expected: State, P: Array) -> bool:
-        """Whether the die flies too high above the table for an impact."""
-        lowest = float(lowest_m(self.view.shape, expected.position_m, expected.rotation))
-        return lowest - HEIGHT_SIGMAS * widest_sigma(P, 0) > BOUNCE_REACH * self.view.reach_m
 
     def _other_states(self, expected: State) -> Iterator[tuple[State, int]]:
         """Other initial states, each with the level of coarseness of its refinement: from the last pose with the rates after an
@@ -566,7 +564,7 @@ class FrameTracker:
         )
         angle = angle_between(pose.rotation, R)
         count = float(self.clock[2])
-        high = self._is_high(_state(time_s, predicted, R), P)
+        high = is_high(self.view, predicted[:3], R, P)
         far_reach, far_rad = (FIRST_POSES_REACH, FIRST_POSES_RAD) if high else (NEW_FLIGHT_REACH, NEW_FLIGHT_RAD)
         leads_on = np.array_equal(start.velocity_m_s, predicted[3:6])
         known = MIN_POSES_OF_FLIGHT if leads_on else MIN_POSES_BEFORE_IMPACT
@@ -602,9 +600,3 @@ def _state(time_s: float, motion: Array, rotation: Array) -> State:
 def _if_determined(pose: Pose) -> Pose | None:
     """A refined pose; None if the picture leaves a direction open or shows too little of the contour."""
     return None if pose.covariance is None or pose.contour_px < LEAST_CONTOUR_PX else pose
-
-
-def widest_sigma(P: Array, first: int) -> float:
-    """The largest standard deviation of three numbers of a motion, from its covariance (12, 12). Predicted back to where they
-    were known, variances cancel, and rounding may make them negative."""
-    return float(np.sqrt(max(np.diag(P)[first : first + 3].max(), 0.0)))

@@ -21,7 +21,9 @@ from ...model.throw import Flight, State
 from ...model.world import GRAVITY_M_S2
 from ..picture import SUPPORT_COST, View, region_costs
 from ..pose import Pose, same_picture, seen_distance_m
+from .acceptance import BOUNCE_REACH, HEIGHT_SIGMAS
 from .labelling import even_rotation
+from .motion_filter import lowest_m
 
 Array = NDArray[np.float64]
 
@@ -219,3 +221,15 @@ def initial_covariance(view: View, pose: Pose, frame_s: float, reach: float, rad
     P[6:9, 6:9] = np.eye(3) * (reach * view.reach_m / frame_s) ** 2
     P[9:, 9:] = np.eye(3) * (rad / frame_s) ** 2
     return P
+
+
+def widest_sigma(P: Array, first: int) -> float:
+    """The largest standard deviation of three numbers of a motion, from its covariance (12, 12). Predicted back to where they
+    were known, variances cancel, and rounding may make them negative."""
+    return float(np.sqrt(max(np.diag(P)[first : first + 3].max(), 0.0)))
+
+
+def is_high(view: View, position_m: Array, rotation: Array, P: Array) -> bool:
+    """Whether a die of a motion with covariance P (12, 12) is too high above the table for an impact since the frame before."""
+    lowest = float(lowest_m(view.shape, position_m, rotation))
+    return lowest - HEIGHT_SIGMAS * widest_sigma(P, 0) > BOUNCE_REACH * view.reach_m

@@ -6,6 +6,9 @@ distinguishes them: only the true pose falls with g and rotates evenly, and the 
 either. So all initial poses are hypotheses that are tracked over more and more frames, and those that explain the pictures
 clearly worse are rejected. If one picture suffices, that ends at the second stage.
 
+Pictures of printed faces may prefer a wrong pose by much. From HALF_STAGE frames on the scatter of the poses about one flight
+counts as their misfit does, and what lies behind the first impact of the leading hypothesis does not count.
+
 A wrong hypothesis often becomes right as soon as the die shows another face. What counts is therefore its recent motion; a
 hypothesis that changed on the way is tracked back to its first frame, over which it must move as evenly. A hypothesis is certain
 if no other pose is left and it moves as a die does. If none is certain, hypotheses from several frames are tracked to a common
@@ -41,9 +44,9 @@ from ..pose import (
     weak_priors,
 )
 from ..throw import TABLE_REACH
-from .acceptance import AMBIGUOUS_COST, BOUNCE_REACH, FASTEST_M_S, HEIGHT_SIGMAS, MIN_POSES_OF_FLIGHT
-from .frame_to_frame import MOST_CANDIDATES, FrameTracker, widest_sigma
-from .impact_trials import motion_of_poses
+from .acceptance import AMBIGUOUS_COST, FASTEST_M_S, HEIGHT_SIGMAS, MIN_POSES_OF_FLIGHT
+from .frame_to_frame import MOST_CANDIDATES, FrameTracker
+from .impact_trials import is_high, motion_of_poses
 from .motion_filter import lowest_m
 
 Array = NDArray[np.float64]
@@ -473,7 +476,8 @@ def _tracked_to(hypothesis: Hypothesis, view: View, source: FrameSource, k: int,
         tracker.track(source.frame(k + j)[None], times_s, j, poses)
         if tracker.misses > 1:
             return None
-        if j < hypothesis.flies_until and tracker.clock[2] < MIN_POSES_OF_FLIGHT < j and _may_have_touched(tracker):
+        is_low = not is_high(view, tracker.motion[:3], tracker.rotation, tracker.P)
+        if j < hypothesis.flies_until and tracker.clock[2] < MIN_POSES_OF_FLIGHT < j and is_low:
             hypothesis.flies_until = j
             hypothesis.before_impact = FrameTracker(tracker.view, motion, rotation, P, clock, tracker.unused)
             hypothesis.before_impact.next_frame = j
@@ -484,12 +488,6 @@ def _tracked_to(hypothesis: Hypothesis, view: View, source: FrameSource, k: int,
     since = stage // 2 if stage > FULL_STAGE else 0
     whole = _score(view, poses, times_s, 0, stage)
     return whole if whole.unevenness < EVEN else _score(view, poses, times_s, since, stage)
-
-
-def _may_have_touched(tracker: FrameTracker) -> bool:
-    """Whether the die lies so near the table that an impact may have occurred since the frame before."""
-    lowest = float(lowest_m(tracker.view.shape, tracker.motion[:3], tracker.rotation))
-    return lowest < BOUNCE_REACH * tracker.view.reach_m + HEIGHT_SIGMAS * widest_sigma(tracker.P, 0)
 
 
 def _is_below_table(tracker: FrameTracker) -> bool:

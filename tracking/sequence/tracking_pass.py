@@ -59,11 +59,12 @@ grow."""
 SETTLING_FRAMES = 2
 """Frames behind an impact whose poses may not have converged."""
 FLIGHT_FRAMES = 16
-"""Frames over which a motion shows that it is none of a die in flight. Eight hardly do: of a tetrahedron wrong poses had a
-reduced chi-square of 1.3 to 6 there, and of 2.5 to 140 over 16."""
+"""Frames over which a motion shows that it is none of a die in flight. Eight hardly do: on one flight of a sharp
+tetrahedron wrong poses had a reduced chi-square of 1.3 to 6 there, and of 2.5 to 140 over 16."""
 NO_FLIGHT_LOG_SCATTER = 1.0
-"""Logarithm of the residual standard deviation, in standard errors of the poses, beyond which these lie on no flight. On 20
-random clips right poses of one flight came to 0.9 at the most."""
+"""Logarithm of the residual standard deviation, in standard errors of the poses, beyond which these lie on no flight. On the 21
+random clips that it was chosen on, right poses of flights without an impact came to 1.0 at the most; wrong ones of a well-rounded
+die, which hardly shows how it lies, may come to less."""
 SMALLER_COST = 0.1
 """Mean cost, with the logarithm of their scatter about flights, by which other poses must be better to replace those that do not
 explain their pictures or lie on no flight."""
@@ -85,8 +86,9 @@ SUFFICIENT_FRAMES = 0.95
 EXCLUDED_SIGMAS = 4.0
 """Standard errors of the contour, by the flights of a sharp die, by which it must lie nearer to that than to a rounded one's."""
 SHARP_CONTOUR_PX = 0.25
-"""Error of that contour [px] up to which its die may be sharp. Flights of six sharp dice of random clips, four of them in H.264
-or HEVC, showed up to 0.14; those of 15 rounded ones 0.16 to 0.8, or a radius so small that it makes no such difference."""
+"""Error of that contour [px] up to which its die may be sharp. It was chosen on one seed of random clips: flights of six sharp
+dice showed up to 0.14, those of 15 of 18 rounded ones 0.16 to 0.8. Of the others two are rounded by too little to differ so, and
+one leaves 0.2 open."""
 ROUND_SHARE = 0.25
 """Radius of the corners, as a share of the inscribed radius, of a die that may be rounded and is not found as a sharp one."""
 

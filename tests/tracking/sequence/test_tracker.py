@@ -30,7 +30,8 @@ from diethrow.tracking.picture import PixelNoise
 from diethrow.tracking.picture.view import View, make_view, share_in_view
 from diethrow.tracking.pose.clip_poses import ClipPoses, longest_stride
 from diethrow.tracking.pose.refine import pose_state, refine_pose
-from diethrow.tracking.sequence.frame_to_frame import FrameTracker, widest_sigma
+from diethrow.tracking.sequence.frame_to_frame import FrameTracker
+from diethrow.tracking.sequence.impact_trials import widest_sigma
 from diethrow.tracking.sequence.initialisation import find_initial_pose
 from diethrow.tracking.sequence.motion_filter import predict_motion
 from diethrow.tracking.sequence.tracker import ClipFacts, NoDieError, track_clip
