@@ -2,8 +2,8 @@
 
 numba keeps a compiled kernel beside its file and compiles it again when that file changes. It misses a change of a kernel or a
 constant that the file imports, and would use the old machine code. Here the key of an entry is a digest of the sources: of the
-kernel's file and of all files of this package that its imports lead to. A change compiles what depends on it, and only that. A
-copy of the folder, or another time stamp, compiles nothing.
+kernel's file, of this package or not, and of all files of this package that its imports lead to. A change compiles what depends
+on it, and only that. A copy of the folder, or another time stamp, compiles nothing.
 
 numba's cache asks a *locator* for the folder and for a stamp of the source, and discards an entry whose stamp differs. These
 classes are not part of numba's documented interface. The tests therefore also run on the lowest version of numba that the package
@@ -16,13 +16,16 @@ import hashlib
 import re
 from collections.abc import Callable, Iterator
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 
-_IMPORT = re.compile(r"^from (\.+)([\w.]*) import (\([^)]*\)|[^\n#]*)", re.MULTILINE)
-"""A relative import at the left margin: the only ones that run when a module is imported."""
+_IMPORT = re.compile(
+    rf"^from (\.+|(?={__name__.partition('.')[0]}\b))([\w.]*) import (\([^)]*\)|[^\n#]*)", re.MULTILINE
+)
+"""An import from this package at the left margin, relative or by its name: the only ones that run when a module is imported."""
 
 
 @cache
@@ -55,14 +58,26 @@ def _imported(path: Path) -> tuple[Path, ...]:
 
 @cache
 def _imports(path: Path) -> tuple[tuple[Path, str, str], ...]:
-    """Relative imports of a file: where from (without suffix), the name there, and the name here."""
+    """Imports of a file from this package: where from (without suffix), the name there, and the name here."""
     found = []
     for dots, module, names in _IMPORT.findall(path.read_text(encoding="utf-8")):
-        origin = path.parents[len(dots) - 1].joinpath(*filter(None, module.split(".")))
+        if dots:
+            origin = path.parents[len(dots) - 1].joinpath(*filter(None, module.split(".")))
+        else:
+            origin = _folder_or_module(module)
         for each in _names(names):
             name, _, here = each.partition(" as ")
             found.append((origin, name.strip(), (here or name).strip()))
     return tuple(found)
+
+
+def _folder_or_module(name: str) -> Path:
+    """Folder, or file without suffix, of a module with a full name. Its folders need not lie in each other."""
+    spec = find_spec(name)
+    if spec is None or spec.origin is None:
+        raise ImportError(f"{name}: no module of that name")
+    file = Path(spec.origin)
+    return file.parent if file.stem == "__init__" else file.with_suffix("")
 
 
 def _names(text: str) -> Iterator[str]:

@@ -72,16 +72,21 @@ def test_a_kernel_is_compiled_again_after_an_edit_of_a_constant_and_only_then(co
     assert fall(copy)[2] == 0
 
 
-def test_a_kernel_is_compiled_again_after_an_edit_of_a_callee_in_another_file(copy: Path) -> None:
-    model = copy / "diethrow" / "model"
-    caller = model / "engine" / "caller.py"
-    callee = model / "engine" / "callee.py"
+@pytest.mark.parametrize("where", ["diethrow.model.engine", "outside"])
+def test_a_kernel_is_compiled_again_after_an_edit_of_a_callee_in_another_file(copy: Path, where: str) -> None:
+    """Whether it belongs to the package or to who uses it."""
+    (copy / "outside").mkdir()
+    caller, callee = (
+        copy.joinpath(*where.split(".")) / "caller.py",
+        copy / "diethrow" / "model" / "engine" / "callee.py",
+    )
+    origin = ".callee" if "engine" in where else "diethrow.model.engine.callee"
     callee.write_text("from ..compiled import compiled\n\n\n@compiled\ndef callee(x):\n    return 2.0 * x\n")
     caller.write_text(
-        "from ..compiled import compiled\nfrom .callee import callee\n\n\n@compiled\ndef caller(x):\n    return callee(x) + 1.0\n"
+        f"from diethrow.model.compiled import compiled\nfrom {origin} import callee\n\n\n"
+        "@compiled\ndef caller(x):\n    return callee(x) + 1.0\n"
     )
-    program = "from diethrow.model.engine.caller import caller; print(caller(1.0))"
-    run = [sys.executable, "-c", program]
+    run = [sys.executable, "-c", f"from {where}.caller import caller; print(caller(1.0))"]
     environment = {**os.environ, "PYTHONPATH": str(copy)}
     first = subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout
     edit(callee, "2.0", "5.0")
