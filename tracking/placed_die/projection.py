@@ -170,6 +170,7 @@ def place_die(shape: Shape, rig: CameraRig, view: int, pose: PoseState, work: Wo
         work.vertex_px[i, 0], work.vertex_px[i, 1] = project_point(
             K, dist, work.vertex_camera[i, 0], work.vertex_camera[i, 1], work.vertex_camera[i, 2], work.J
         )
+    late = 0.0
     if rig.row_s[view] != 0.0:
         late = exposure_delay(rig, pos)
         for i in range(shape.vertices.shape[0]):
@@ -186,9 +187,27 @@ def place_die(shape: Shape, rig: CameraRig, view: int, pose: PoseState, work: Wo
             work.face_normal[f, a] = (
                 R[a, 0] * shape.normals[f, 0] + R[a, 1] * shape.normals[f, 1] + R[a, 2] * shape.normals[f, 2]
             )
-        toward = work.face_normal[f, 0] * e0 + work.face_normal[f, 1] * e1 + work.face_normal[f, 2] * e2
+        n0, n1, n2, c0, c1, c2 = work.face_normal[f, 0], work.face_normal[f, 1], work.face_normal[f, 2], e0, e1, e2
+        if rig.row_s[view] != 0.0:
+            # A face is turned away or not when its own rows are exposed.
+            dt = (_middle_row(shape, work, f) - rig.middle_row[view]) * rig.row_s[view] - late
+            n0, n1, n2 = turned_within(pose.omega, dt, n0, n1, n2)
+            c0, c1, c2 = c0 - pose.velocity[0] * dt, c1 - pose.velocity[1] * dt, c2 - pose.velocity[2] * dt
+        toward = n0 * c0 + n1 * c1 + n2 * c2
         work.face_cosine[f] = (toward - shape.offsets[f] - shape.radius) / gap
     return True
+
+
+@inner_no_memory
+def _middle_row(shape: Shape, work: Workspace, f: int) -> float:
+    """Row in the picture of the middle of a face, of the corners as placed."""
+    total, count = 0.0, 0
+    for j in range(shape.face_edges.shape[1]):
+        e = shape.face_edges[f, j]
+        if e >= 0:
+            total += work.vertex_px[shape.edges[e, 0], 1] + work.vertex_px[shape.edges[e, 1], 1]
+            count += 2
+    return total / count
 
 
 @inner_no_memory
@@ -338,7 +357,7 @@ def rounded_contour(shape: Shape, rig: CameraRig, view: int, pos: Any, work: Wor
 
 @inner_no_memory
 def face_lines(shape: Shape, work: Workspace, f: int, lines: Any) -> int:
-    """Fill the half-planes a x + b y + c >= 0 of a placed face; return their number."""
+    """Fill the half-planes a x + b y + c >= 0 of a placed face; return their number, 0 for a folded face (`turn_inwards`)."""
     mx, my, count = 0.0, 0.0, 0
     for j in range(shape.face_edges.shape[1]):
         e = shape.face_edges[f, j]
@@ -350,11 +369,38 @@ def face_lines(shape: Shape, work: Workspace, f: int, lines: Any) -> int:
         mx += 0.5 * (work.vertex_px[i, 0] + work.vertex_px[k, 0])
         my += 0.5 * (work.vertex_px[i, 1] + work.vertex_px[k, 1])
         count += 1
+    return count if turn_inwards(shape, f, count, mx / count, my / count, lines) else 0
+
+
+@inner_no_memory
+def turn_inwards(shape: Shape, f: int, count: int, mx: float, my: float, lines: Any) -> bool:
+    """Give the lines of a face's `count` edges, each drawn from the edge's first end to its second, the sign that makes them
+    positive at the middle of the face (mx, my). False if the face is folded: it does not lie on one side of its edges.
+
+    A rolling shutter, or distortion, bends what is seen edge-on, so that two of its sides cross. The half-planes of such a face
+    may contain half of the picture. Whether the face lies on the left of an edge or on its right is known from the die, and must
+    agree with the picture for all edges, or in a mirror for none.
+    """
+    agree = 0
     for j in range(count):
-        if lines[j, 0] * mx / count + lines[j, 1] * my / count + lines[j, 2] < 0.0:
+        inside = lines[j, 0] * mx + lines[j, 1] * my + lines[j, 2] >= 0.0
+        if inside == _is_left_of(shape, f, shape.face_edges[f, j]):
+            agree += 1
+        if not inside:
             for q in range(3):
                 lines[j, q] = -lines[j, q]
-    return count
+    return agree == 0 or agree == count
+
+
+@inner_no_memory
+def _is_left_of(shape: Shape, f: int, e: int) -> bool:
+    """Whether one of its two faces lies on the left of an edge, seen from outside, along it from its first end to its second."""
+    n, p, q = shape.normals[f], shape.vertices[shape.edges[e, 0]], shape.vertices[shape.edges[e, 1]]
+    g = shape.normals[shape.edge_faces[e, 0] + shape.edge_faces[e, 1] - f]
+    d0, d1, d2 = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    # The other face slopes away beyond the edge.
+    left = g[0] * (n[1] * d2 - n[2] * d1) + g[1] * (n[2] * d0 - n[0] * d2) + g[2] * (n[0] * d1 - n[1] * d0)
+    return bool(left < 0.0)
 
 
 @inner_no_memory

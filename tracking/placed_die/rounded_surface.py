@@ -23,6 +23,7 @@ from .projection import (
     exposure_delay,
     pixel_of_ray,
     project_point,
+    turn_inwards,
     turned_within,
 )
 
@@ -128,7 +129,7 @@ def pixels_about(vertex_px: Any, margin: float, window: Any) -> tuple[int, int, 
 @inner_nogil
 def flat_faces(shape: Shape, rig: CameraRig, view: int, pose: PoseState, work: Workspace) -> tuple[Any, Any]:
     """The half-planes (faces, most, 3) a x + b y + c >= 0 [px] of the flat faces as placed, and (faces,) how many of them
-    bound each; 0 for faces that are turned away."""
+    bound each; 0 for faces that are turned away, or folded (`turn_inwards`)."""
     nf, most = shape.face_edges.shape
     lines, count = np.zeros((nf, most, 3)), np.zeros(nf, np.int64)
     late = exposure_delay(rig, pose.position)
@@ -151,11 +152,7 @@ def flat_faces(shape: Shape, rig: CameraRig, view: int, pose: PoseState, work: W
             nx, ny = (y0 - y1) / length, (x1 - x0) / length
             lines[f, j, 0], lines[f, j, 1], lines[f, j, 2] = nx, ny, -(nx * x0 + ny * y0)
             mx, my, n = mx + 0.5 * (x0 + x1), my + 0.5 * (y0 + y1), n + 1
-        for j in range(n):
-            if lines[f, j, 0] * mx / n + lines[f, j, 1] * my / n + lines[f, j, 2] < 0.0:
-                for q in range(3):
-                    lines[f, j, q] = -lines[f, j, q]
-        count[f] = n
+        count[f] = n if turn_inwards(shape, f, n, mx / n, my / n, lines[f]) else 0
     return lines, count
 
 

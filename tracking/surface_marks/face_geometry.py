@@ -122,8 +122,9 @@ def face_outline(
     optics: Optics, drift: RowDrift, E: Any, origin: Any, corners: Any, margin: float, px: Any, planes: Any
 ) -> bool:
     """Fill the corners px (count, 2) of the flat part of a face, of `corners` (count, 2) [m], and its half-planes (count,
-    3), positive inside by `margin` [px] and more; False if a corner lies behind the camera."""
-    mx, my, count = 0.0, 0.0, corners.shape[0]
+    3), positive inside by `margin` [px] and more; False if a corner lies behind the camera, or the face is folded: seen edge-on
+    and bent by a rolling shutter or distortion, it does not lie on one side of its edges."""
+    mx, my, count, inside = 0.0, 0.0, corners.shape[0], 0
     for i in range(count):
         x = origin[0] + corners[i, 0] * E[0, 0] + corners[i, 1] * E[1, 0]
         y = origin[1] + corners[i, 0] * E[0, 1] + corners[i, 1] * E[1, 1]
@@ -142,11 +143,13 @@ def face_outline(
         if size < SHORTEST_SIDE_PX:
             return False
         nx, ny = nx / size, ny / size
-        if nx * (mx - px[i, 0]) + ny * (my - px[i, 1]) < 0.0:
+        if nx * (mx - px[i, 0]) + ny * (my - px[i, 1]) >= 0.0:
+            inside += 1
+        else:
             nx, ny = -nx, -ny
         planes[i, 0], planes[i, 1] = nx, ny
         planes[i, 2] = -(nx * px[i, 0] + ny * px[i, 1]) - margin
-    return True
+    return inside == 0 or inside == count
 
 
 @inner_no_memory

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from diethrow.model.rotations import matrix_from_quat
 from diethrow.tracking.picture import with_corner_radius
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.placed_die.kernel_types import CameraRig, PoseState, Shape, Workspace, new_workspace
-from diethrow.tracking.placed_die.projection import place_die
+from diethrow.tracking.placed_die.projection import face_lines, place_die
 from diethrow.tracking.placed_die.rounded_surface import (
     NOTHING,
     contour_segments,
@@ -34,6 +35,12 @@ Array = NDArray[np.float64]
 
 RADIUS_SHARE = 0.3
 """Radius of the corners, as a share of the inscribed radius."""
+READOUT_S = 5e-3
+"""From the first row to the last: a telephone's at 120 frames a second."""
+SPIN_RAD_S = 30.0
+"""Standard deviation of each component of the angular velocity."""
+EDGE_ON_RAD = 0.02
+"""A face is seen edge-on within this angle."""
 
 
 @compiled
@@ -61,6 +68,21 @@ def part_at(
 def distance_at(shape: Shape, rig: CameraRig, pose: PoseState, x: float, y: float, out: Any, work: Workspace) -> None:
     place_die(shape, rig, np.int64(0), pose, work)
     fill_nearest_contour(contour_segments(shape, work), x, y, out)
+
+
+@compiled
+def shows_face(shape: Shape, rig: CameraRig, pose: PoseState, f: int, px: Any, rounded: bool, work: Workspace) -> int:
+    """How many of pixels (n, 2) show a face, if it is not turned away: of the rounded body, or of the sharp one."""
+    view, number, one = np.int64(0), 0, np.zeros((1, shape.face_edges.shape[1], 3))
+    place_die(shape, rig, view, pose, work)
+    if not work.face_cosine[f] > 0.0:
+        return 0
+    lines, count = flat_faces(shape, rig, view, pose, work)
+    if not rounded:
+        count[f] = face_lines(shape, work, f, one[0])
+    for k in range(px.shape[0]):
+        number += face_at(lines[f : f + 1] if rounded else one, count[f : f + 1], px[k, 0], px[k, 1]) == 0
+    return number
 
 
 def rounded_view(shape: str) -> View:
@@ -117,6 +139,40 @@ def test_distance_from_a_contour(shape: str) -> None:
         else:
             # Inside, the nearest line, which may lie beyond its edge.
             assert -nearest - 0.05 < out[0] <= 0.0
+
+
+@pytest.mark.parametrize("rounded", [True, False], ids=["rounded", "sharp"])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_face_seen_edge_on_shows_a_sliver_to_a_rolling_shutter(shape: str, rounded: bool) -> None:
+    """Rows that are exposed one after the other bend it, so that two of its sides may cross."""
+    room = replace(studio(), readout_s=READOUT_S)
+    view, rng = room.view(DICE[shape]), np.random.default_rng(3)
+    view = with_corner_radius(view, RADIUS_SHARE * view.die.solid.inradius) if rounded else view
+    work, position = new_workspace(view.shape, view.rig), np.array([0.001, -0.002, 0.02])
+    toward = view.camera.rotation.T @ -view.camera.translation_m - position
+    toward /= np.linalg.norm(toward)
+    away = np.linalg.norm(view.camera.translation_m)
+    for _ in range(300):
+        across = np.cross(toward, rng.normal(size=3))
+        across /= np.linalg.norm(across)
+        # The camera lies this little above the plane of the face.
+        above = rng.uniform(0.0, EDGE_ON_RAD) + view.die.solid.offsets[0] / away
+        R = onto(view.die.solid.normals[0], across + above * toward, rng.uniform(0.0, 2.0 * np.pi))
+        pose = pose_state(position, R, np.zeros(3), SPIN_RAD_S * rng.normal(size=3))
+        px = view.camera.project(position[None])[0] + rng.uniform(-45.0, 45.0, (400, 2))
+        assert shows_face(view.shape, view.rig, pose, np.int64(0), px, rounded, work) < 0.05 * len(px)
+
+
+def onto(body: Array, world: Array, turned_rad: float) -> Array:
+    """(3, 3) a rotation that takes a direction of the body to one of the world, turned about that."""
+    frames = []
+    for direction in (body, world):
+        first = direction / np.linalg.norm(direction)
+        second = np.cross(first, np.eye(3)[np.argmin(np.abs(first))])
+        second /= np.linalg.norm(second)
+        frames.append(np.column_stack([first, second, np.cross(first, second)]))
+    c, s = np.cos(turned_rad), np.sin(turned_rad)
+    return np.asarray(frames[1] @ np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]) @ frames[0].T)
 
 
 def outline_points(px: Array) -> Array:
