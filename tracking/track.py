@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..model.world import GRAVITY_M_S2
+
 Array = NDArray[np.float64]
 
 TRACKED = "tracked"
@@ -47,6 +49,8 @@ class Track:
     """Standard error of the contour's place common to all frames, from a corner radius that was estimated from the pictures."""
     response_sigma: float = 0.0
     """Standard deviation of the exponent of the response, grey = light ** exponent, from that with which the poses were found."""
+    gravity_m_s2: float = GRAVITY_M_S2
+    """Of the place where the die was filmed, along -z. In no file: the scene says it."""
 
     @property
     def tracked(self) -> NDArray[np.bool_]:

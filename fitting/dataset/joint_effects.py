@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from ...model.rotations import matrix_from_quat
-from ...model.world import GRAVITY_M_S2
 from ..results import Effect
 from ..throw import CALIBRATION_LIMITS, CENTRE_OF_MASS, Physics
 from .data_set import DataSet, Entry, data_set_of
@@ -145,8 +144,8 @@ def clock_before_bounces(physics: Physics, entries: Sequence[Entry]) -> tuple[fl
         freedom += 3 * len(entry.release.rows) - 6
     values = np.linalg.lstsq(matrix, right, rcond=1e-12)[0]
     variance = max(1.0, (squares - float(right @ values)) / max(freedom - 4, 1))
-    squared = 1.0 + float(values[3]) / (GRAVITY_M_S2 * physics.length)
-    error = float(np.sqrt(variance * np.linalg.pinv(matrix)[3, 3])) / (GRAVITY_M_S2 * physics.length)
+    squared = 1.0 + float(values[3]) / (physics.table.gravity_m_s2 * physics.length)
+    error = float(np.sqrt(variance * np.linalg.pinv(matrix)[3, 3])) / (physics.table.gravity_m_s2 * physics.length)
     clock = float(np.sqrt(max(squared, 1e-6)))
     return clock, 0.5 * error / clock
 
@@ -162,7 +161,7 @@ def _free_fall(entry: Entry) -> tuple[Array, Array]:
     fall = np.zeros((len(rows), 3))
     fall[:, 2] = -0.5 * (off_line @ times**2)
     flown = state.position_m + np.outer(times, state.velocity_m_s)
-    flown[:, 2] -= 0.5 * GRAVITY_M_S2 * times**2
+    flown[:, 2] -= 0.5 * entry.track.gravity_m_s2 * times**2
     left = off_line @ (entry.track.position_m[rows] - flown)
     return np.column_stack([circled, fall.ravel()]), left.ravel()
 

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die
-from ...model.laws import LEVEL, Table
+from ...model.laws import Table
 from ..results import Effect, Parameter
 from ..throw import INTERVAL_LEVEL, Physics
 from .data_set import DataSet, Entry, data_set_of, drawn_perturbations, evenly_spread
@@ -89,7 +89,7 @@ class JointFit:
 def fit_jointly(
     entries: Sequence[Entry],
     die: Die,
-    table: Table = LEVEL,
+    table: Table | None = None,
     *,
     threads: int = 1,
     effects: Sequence[str] = tuple(EFFECTS),
@@ -97,10 +97,12 @@ def fit_jointly(
 ) -> JointFit:
     """The parameters that all throws share, with the effects that predict left-out throws better.
 
-    `effects` are those on trial. Raises ValueError for fewer than two throws.
+    `effects` are those on trial. Without a `table` it is level and at rest, where the first track was filmed. Raises ValueError
+    for fewer than two throws.
     """
     if len(entries) < 2:
         raise ValueError(f"{len(entries)} throws with a first bounce; wanted at least two for a joint fit")
+    table = Table(gravity_m_s2=entries[0].track.gravity_m_s2) if table is None else table
     steps = _Steps(progress, 3 * len(effects) + 2)
     with ThreadPoolExecutor(threads) as pool:
         plainest = Physics(die, table, {"chi": 0.5})

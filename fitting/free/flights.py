@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from ...model.rotations import rotation_between
 from ...model.throw import Flight, State, Throw
-from ...model.world import GRAVITY_M_S2
 from ...tracking.flights import left_jacobians, perturbed, pose_jacobian
 from ..estimation import (
     HUBER_THRESHOLD,
@@ -133,21 +132,23 @@ def fit_flight(observations: FlightObservations, guess: Flight) -> FreeFlight | 
     if n < MIN_FRAMES:
         return None
     k2 = HUBER_THRESHOLD
-    state, residuals, jacobian = _nearest(observations, _start(observations, guess), k2)
+    state, residuals, jacobian = _nearest(observations, _start(observations, guess), k2, guess.gravity_m_s2)
     freedom = 6.0 * (n - 2)
     if freedom and robust_variance(residuals, freedom) > _BAD_START:
-        again = _nearest(observations, _start_from_frames(observations, state.time_s), k2)
+        again = _nearest(observations, _start_from_frames(observations, guess, state.time_s), k2, guess.gravity_m_s2)
         if robust_variance(again[1], freedom) < robust_variance(residuals, freedom):
             state, residuals, jacobian = again
     if freedom and (variance := robust_variance(residuals, freedom)) > _UNDERSTATED:
         # Frames whose covariances are too small would all look bad: the threshold follows their actual scatter.
-        state, residuals, jacobian = _nearest(observations, state, k2 * variance)
+        state, residuals, jacobian = _nearest(observations, state, k2 * variance, guess.gravity_m_s2)
     variance = robust_variance(residuals, freedom) if freedom else np.nan
-    flight = Flight(state, guess.end_s, covariance_of(jacobian))
+    flight = Flight(state, guess.end_s, covariance_of(jacobian), guess.gravity_m_s2)
     return FreeFlight(flight, n, variance)
 
 
-def _nearest(observations: FlightObservations, start: State, k2: float) -> tuple[State, Array, Array]:
+def _nearest(
+    observations: FlightObservations, start: State, k2: float, gravity_m_s2: float
+) -> tuple[State, Array, Array]:
     """The state of least squares, its whitened residuals (n, 6) and their derivative (n, 6, 12)."""
     span = max(float(np.ptp(observations.time_s)), 1e-9)
     step_m, step_rad = _STEPS
@@ -155,8 +156,9 @@ def _nearest(observations: FlightObservations, start: State, k2: float) -> tuple
 
     def evaluate(x: Array) -> tuple[Array, Array]:
         state = perturbed(start, x)
-        errors = pose_errors(observations, *Flight(state, state.time_s).poses(observations.time_s))
-        jacobian = pose_jacobian(Flight(state, state.time_s), observations.time_s)
+        flight = Flight(state, state.time_s, gravity_m_s2=gravity_m_s2)
+        errors = pose_errors(observations, *flight.poses(observations.time_s))
+        jacobian = pose_jacobian(flight, observations.time_s)
         # The unknown rotation is about the orientation of `start`, the derivative about the displaced one.
         jacobian[:, :, 3:6] = jacobian[:, :, 3:6] @ left_jacobians(x[None, 3:6])[0]
         residuals, jacobian = huber(
@@ -166,8 +168,9 @@ def _nearest(observations: FlightObservations, start: State, k2: float) -> tuple
 
     free = np.full(12, np.inf)
     state = perturbed(start, levenberg_marquardt(evaluate, np.diag(1.0 / scale), -free, free, max_steps=30))
-    errors = pose_errors(observations, *Flight(state, state.time_s).poses(observations.time_s))
-    jacobian = whitened_jacobian(observations, errors, pose_jacobian(Flight(state, state.time_s), observations.time_s))
+    flight = Flight(state, state.time_s, gravity_m_s2=gravity_m_s2)
+    errors = pose_errors(observations, *flight.poses(observations.time_s))
+    jacobian = whitened_jacobian(observations, errors, pose_jacobian(flight, observations.time_s))
     return state, whitened(observations, errors), jacobian
 
 
@@ -176,17 +179,18 @@ def _start(observations: FlightObservations, guess: Flight) -> State:
     s = guess.start
     if all(np.isfinite(part).all() for part in (s.position_m, s.quaternion, s.velocity_m_s, s.omega_rad_s)):
         return s
-    return _start_from_frames(observations, s.time_s)
+    return _start_from_frames(observations, guess, s.time_s)
 
 
-def _start_from_frames(observations: FlightObservations, time_s: float) -> State:
+def _start_from_frames(observations: FlightObservations, guess: Flight, time_s: float) -> State:
     """Straight from the first pose to the last, with the median angular velocity between neighbouring frames."""
     t, p, q = observations.time_s, observations.position_m, observations.quaternion
     dt = t[-1] - t[0]
-    velocity = (p[-1] - p[0]) / dt + np.array([0.0, 0.0, 0.5 * GRAVITY_M_S2 * dt])
+    velocity = (p[-1] - p[0]) / dt + np.array([0.0, 0.0, 0.5 * guess.gravity_m_s2 * dt])
     turns = rotation_between(q[:-1], q[1:]) / np.diff(t)[:, None]
     first = State(float(t[0]), p[0], q[0], velocity, np.median(turns, axis=0))
-    return Flight(first, first.time_s).at(time_s) if np.isfinite(time_s) else first
+    falling = Flight(first, first.time_s, gravity_m_s2=guess.gravity_m_s2)
+    return falling.at(time_s) if np.isfinite(time_s) else first
 
 
 def _without_outliers(observations: FlightObservations, guess: Flight) -> tuple[FreeFlight | None, NDArray[np.bool_]]:

@@ -134,8 +134,8 @@ def apparent_restitution(
         energy_lost_J=lost,
         energy_lost_low_J=lost - z * lost_sigma,
         energy_lost_high_J=lost + z * lost_sigma,
-        energy_before_J=energy_J(die, state),
-        energy_after_J=energy_J(die, next_state),
+        energy_before_J=energy_J(die, state, before.gravity_m_s2),
+        energy_after_J=energy_J(die, next_state, after.gravity_m_s2),
         smooth_sigmas=_root_mean_square(values[_SMOOTH], covariance[_SMOOTH, _SMOOTH]),
     )
 
@@ -228,7 +228,7 @@ def _as_measured(bounce: Bounce, impact: Impact) -> Bounce:
 
 def _scaled(flight: Flight, variance: float) -> Flight:
     covariance = None if flight.covariance is None else flight.covariance * variance
-    return Flight(flight.start, flight.end_s, covariance)
+    return replace(flight, covariance=covariance)
 
 
 def contact_arm(die: Die, rotation: Array, vertex: int) -> Array:
@@ -286,7 +286,8 @@ def _impact_numbers(die: Die, before: Flight, after: Flight, time_s: float, vert
             dw[1] + lever * arm[0],
             dw[2],
             dv[2],
-            energy_J(die, state) - energy_J(die, replace(later, position_m=state.position_m)),
+            energy_J(die, state, before.gravity_m_s2)
+            - energy_J(die, replace(later, position_m=state.position_m), before.gravity_m_s2),
         ]
     )
 
@@ -306,7 +307,7 @@ def _covariance(die: Die, before: Flight, after: Flight, time_s: float, vertex: 
             ends = []
             for sign in (1.0, -1.0):
                 pair = list(at_touch)
-                pair[which] = Flight(perturbed(flight.start, sign * change), flight.end_s)
+                pair[which] = replace(flight, start=perturbed(flight.start, sign * change))
                 ends.append(_impact_numbers(die, pair[0], pair[1], time_s, vertex))
             gradient[:, k] = (ends[0] - ends[1]) / (2.0 * step)
         total += gradient @ flight.covariance @ gradient.T
@@ -317,7 +318,7 @@ def _carried(flight: Flight, time_s: float) -> Flight:
     """The same flight with state and covariance at another instant, so that small steps there stay small."""
     assert flight.covariance is not None
     carry = transition_matrix(flight, time_s)
-    return Flight(flight.at(time_s), flight.end_s, carry @ flight.covariance @ carry.T)
+    return replace(flight, start=flight.at(time_s), covariance=carry @ flight.covariance @ carry.T)
 
 
 def _root_mean_square(values: Array, covariance: Array) -> float:

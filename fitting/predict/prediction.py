@@ -188,7 +188,9 @@ def predict_track(physics: Physics, track: Track, release: ReleaseState, precisi
     later = covered & ~flown
     position[later], quaternion[later] = simulated_poses(physics, release.state, times[later], precision)
     status = np.where(covered & np.isfinite(position).all(1), TRACKED, ABSENT)
-    return Track(track.frame, times, position, quaternion, np.full((n, 6, 6), np.nan), status)
+    return Track(
+        track.frame, times, position, quaternion, np.full((n, 6, 6), np.nan), status, gravity_m_s2=track.gravity_m_s2
+    )
 
 
 def face_odds(

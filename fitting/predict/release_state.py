@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from ...model.die import Die
 from ...model.rotations import matrix_from_quat, rotation_between
 from ...model.throw import Flight, State, touching_vertices
-from ...model.world import GRAVITY_M_S2
 from ...tracking.flights import perturbed, pose_jacobian
 from ...tracking.track import Track
 from ..estimation import covariance_of
@@ -105,6 +104,8 @@ class ReleaseState:
     offset_derivative: Array
     """(2, 3, 3): derivative of the position and the velocity of the centre of mass by its offset from the centroid, in body
     axes."""
+    gravity_m_s2: float
+    """Of the track."""
     centre_of_mass_m: Array | None = None
     """(3,) from the centroid, body axes; None where it is the centroid."""
 
@@ -146,7 +147,7 @@ class ReleaseState:
 
     def poses(self, times_s: Array) -> tuple[Array, Array]:
         """Positions (n, 3) and quaternions (n, 4) of the centroid from the first row to the last."""
-        flight = Flight(_carried(self.centre_state, self.begin_s), self.fair_state.time_s)
+        flight = Flight(self.centre_state, self.fair_state.time_s, gravity_m_s2=self.gravity_m_s2)
         positions, quaternions = flight.poses(times_s)
         if self.centre_of_mass_m is not None:
             positions = positions - matrix_from_quat(quaternions) @ self.centre_of_mass_m
@@ -228,8 +229,9 @@ def release_from(track: Track, rows: Indices) -> ReleaseState:
     covariance = covariance_of(jacobian / np.repeat([sigma_m, sigma_rad], 3)[None, :, None])
     times = track.time_s[rows]
     return ReleaseState(
-        rows, state, covariance, sigma_m, sigma_rad, float(times[0]), _derivative_by_offset(state, times)
-    )
+        rows, state, covariance, sigma_m, sigma_rad, float(times[0]), _derivative_by_offset(state, times),
+        track.gravity_m_s2,
+    )  # fmt: skip
 
 
 def flight_length(track: Track, die: Die, rows: Indices) -> int:
@@ -268,7 +270,8 @@ def _gap_after(track: Track, rows: Indices, k: int) -> bool:
 class _Motion:
     """The flight nearest to some frames, and how well they determine it."""
 
-    state: State
+    flight: Flight
+    """Its state is that of the last of them."""
     frames: int
     sigmas: tuple[float, float]
     """Standard deviations [m], [rad] of one axis."""
@@ -278,17 +281,16 @@ class _Motion:
     @classmethod
     def through(cls, track: Track, rows: Indices, guess: _Motion | None = None) -> _Motion:
         """The flight of these rows; a guess is that of fewer of them."""
-        state, errors, jacobian = _nearest(track, rows, None if guess is None else guess.state)
+        state, errors, jacobian = _nearest(track, rows, None if guess is None else guess.flight)
         position, rotation = (covariance_of(jacobian[:, part][:, :, columns]) for part, columns in _PARTS)
-        return cls(state, len(rows), _standard_deviations(errors), (position, rotation))
+        return cls(_flight(track, state), len(rows), _standard_deviations(errors), (position, rotation))
 
     def departure(self, track: Track, row: np.int64) -> float:
         """Sigmas by which a frame departs from it."""
         time = float(track.time_s[row])
-        flight = Flight(self.state, self.state.time_s)
-        predicted = flight.at(time)
+        predicted = self.flight.at(time)
         turned = rotation_between(predicted.quaternion[None], track.quaternion[row][None])[0]
-        ahead = pose_jacobian(flight, np.array([time]))[0]
+        ahead = pose_jacobian(self.flight, np.array([time]))[0]
         doubt = 1.0 + _FEW_FRAMES_DOUBT / max(3 * self.frames - 6, 1)
         worst = 0.0
         for k, error in enumerate((track.position_m[row] - predicted.position_m, turned)):
@@ -300,7 +302,7 @@ class _Motion:
 
     def lowest_m(self, die: Die, time_s: float) -> float:
         """Height of the lowest corner that it predicts."""
-        predicted = _carried(self.state, time_s)
+        predicted = self.flight.at(time_s)
         heights = corners(die) @ matrix_from_quat(predicted.quaternion)[2]
         return float(heights.min() + predicted.position_m[2] - die.corner_radius_m)
 
@@ -313,23 +315,23 @@ def _standard_deviations(errors: Array) -> tuple[float, float]:
     return float(sigma_m), float(sigma_rad)
 
 
-def _nearest(track: Track, rows: Indices, guess: State | None = None) -> tuple[State, Array, Array]:
+def _nearest(track: Track, rows: Indices, guess: Flight | None = None) -> tuple[State, Array, Array]:
     """Least squares of the flight over some rows: state at the last of them, errors (n, 6) and derivatives (n, 6, 12).
 
     Positions and rotations are independent in flight. The former are linear in the state, the latter nearly so.
     """
     times, positions, quaternions = track.time_s[rows], track.position_m[rows], track.quaternion[rows]
     dt = times - times[-1]
-    straight = positions + np.outer(0.5 * GRAVITY_M_S2 * dt**2, [0.0, 0.0, 1.0])
+    straight = positions + np.outer(0.5 * track.gravity_m_s2 * dt**2, [0.0, 0.0, 1.0])
     line = np.linalg.lstsq(np.stack([np.ones_like(dt), dt], 1), straight, rcond=None)[0]
     if guess is None:
         turns = rotation_between(quaternions[:-1], quaternions[1:]) / np.diff(times)[:, None]
         turned, omega = quaternions[-1], np.median(turns, axis=0)
     else:
-        turned, omega = _carried(guess, float(times[-1])).quaternion, guess.omega_rad_s
+        turned, omega = guess.at(float(times[-1])).quaternion, guess.start.omega_rad_s
     state = State(float(times[-1]), line[0], turned, line[1], omega)
     for _ in range(_MAX_STEPS):
-        errors, jacobian = _errors(state, times, positions, quaternions)
+        errors, jacobian = _errors(_flight(track, state), times, positions, quaternions)
         by_rotation = jacobian[:, 3:][:, :, _ROTATION_STATE].reshape(-1, 6)
         step = np.linalg.lstsq(by_rotation, errors[:, 3:].ravel(), rcond=None)[0]
         if np.abs(step[:3]).max() < _STEP_TOLERANCE_RAD:
@@ -340,9 +342,13 @@ def _nearest(track: Track, rows: Indices, guess: State | None = None) -> tuple[S
     return state, errors, jacobian
 
 
-def _errors(state: State, times: Array, positions: Array, quaternions: Array) -> tuple[Array, Array]:
-    """Errors (n, 6) of poses about the flight of a state, and the derivatives (n, 6, 12) of its poses."""
-    flight = Flight(state, state.time_s)
+def _flight(track: Track, state: State) -> Flight:
+    """The flight of a die that falls as in a track, from a state on."""
+    return Flight(state, state.time_s, gravity_m_s2=track.gravity_m_s2)
+
+
+def _errors(flight: Flight, times: Array, positions: Array, quaternions: Array) -> tuple[Array, Array]:
+    """Errors (n, 6) of poses about a flight, and the derivatives (n, 6, 12) of its poses."""
     flown, turned = flight.poses(times)
     return np.hstack([positions - flown, rotation_between(turned, quaternions)]), pose_jacobian(flight, times)
 
@@ -354,8 +360,3 @@ def _derivative_by_offset(state: State, times: Array) -> Array:
     rotations = matrix_from_quat(Flight(state, state.time_s).poses(times)[1])
     line = np.linalg.pinv(np.stack([np.ones_like(dt), dt], 1))
     return np.asarray(np.einsum("an,nij->aij", line, rotations), dtype=np.float64)
-
-
-def _carried(state: State, time_s: float) -> State:
-    """The state carried along its flight, forwards or backwards."""
-    return Flight(state, state.time_s).at(time_s)

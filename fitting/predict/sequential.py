@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...model.die import Die
-from ...model.laws import LEVEL, Table
+from ...model.laws import Table
 from ...model.throw import Throw
 from ...tracking.track import Track
 from ..estimation import flight_observations, normal_quantile
@@ -34,14 +34,15 @@ class Estimate:
 
 
 def sequential_estimates(
-    track: Track, measured: Throw, die: Die, fit: Fit, table: Table = LEVEL
+    track: Track, measured: Throw, die: Die, fit: Fit, table: Table | None = None
 ) -> tuple[Estimate, ...]:
     """One estimate for each bounce that the fit explains and that frames follow, in order of time; the last is the fit's own.
 
-    `track` and `measured` are those that `fit` was made from. Flights too short for a fit are skipped.
+    `track` and `measured` are those that `fit` was made from, and so is `table`. Flights too short for a fit are skipped.
     """
     if not fit.bounces_fitted:
         return ()
+    table = Table(gravity_m_s2=track.gravity_m_s2) if table is None else table
     free = fit_flights(flight_observations(track, measured), measured)
     first = next(k for k, flight in enumerate(free.flights) if flight is not None)
     reached = first + fit.bounces_fitted
@@ -55,7 +56,7 @@ def sequential_estimates(
     return (*found, Estimate(reached, measured.impacts[reached - 1].time_s, fit.parameters["chi"], odds))
 
 
-def physics_of_fit(fit: Fit, die: Die, table: Table = LEVEL) -> Physics:
+def physics_of_fit(fit: Fit, die: Die, table: Table) -> Physics:
     """Die, table and law with the values that a fit found."""
     values = {name: p.value for name, p in fit.parameters.items() if p.value is not None}
     held = frozenset(name for name, p in fit.parameters.items() if not p.free and name in values)

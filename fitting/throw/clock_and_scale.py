@@ -58,7 +58,10 @@ class ScaledFlight(Flight):
 
 def _scaled(flight: Flight, clock: float, length: float) -> ScaledFlight:
     start = _tracked_state(flight.start, clock, length)
-    return ScaledFlight(start=start, end_s=flight.end_s / clock, true=flight, clock=clock, length=length)
+    gravity_m_s2 = clock**2 * length * flight.gravity_m_s2
+    return ScaledFlight(
+        start=start, end_s=flight.end_s / clock, gravity_m_s2=gravity_m_s2, true=flight, clock=clock, length=length
+    )
 
 
 def _tracked_state(state: State, clock: float, length: float) -> State:

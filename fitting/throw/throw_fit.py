@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die
-from ...model.laws import LEVEL, Table
+from ...model.laws import Table
 from ...model.throw import Throw
 from ...tracking.flights import perturbed
 from ...tracking.track import Track
@@ -93,14 +93,15 @@ class _Task:
 
 
 def fit_throw(
-    track: Track, measured: Throw, die: Die, table: Table = LEVEL, intervals: IntervalMethod = "profile"
+    track: Track, measured: Throw, die: Die, table: Table | None = None, intervals: IntervalMethod = "profile"
 ) -> Fit:
     """χ and the initial conditions of a tracked throw, with intervals, from all bounces that the model explains.
 
     `track` holds the poses of single frames (not smoothed: their errors must be independent), `measured` the flights
     and impacts found in them. What the data do not determine is None in the result, with a message.
-    Raises ValueError if the columns of the track have different lengths.
+    Raises ValueError if the columns of the track have different lengths. Without a `table` it is level and at rest.
     """
+    table = Table(gravity_m_s2=track.gravity_m_s2) if table is None else table
     fit = _fit(track, measured, Physics(die, table, {"chi": _START_CHI}), intervals)
     rested = resting_face(track, die)
     return fit if rested is None else replace(fit, landed_face=rested)

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..compiled import compiled, inner
 from .runge_kutta import STAGES, START, VALUES, stage_values
-from .types import LEVEL, Array, Plane
+from .types import Array, Plane
 
 
 class Vacuum(NamedTuple):
@@ -105,12 +105,13 @@ def _flow_rates(drag: float, plane: Plane, flow: Array, out: Array) -> None:
 
 
 @compiled
-def drag_trajectory(drag: float, start: Array, delays: Array) -> Array:
+def drag_trajectory(drag: float, gravity: float, start: Array, delays: Array) -> Array:
     """Positions and velocities (n, 6) `delays` (n,) [s] after a flight began with `start` (13,), in world axes."""
+    level = Plane(0.0, 0.0, gravity, 0.0, 0.0, 0.0)
     flow, out = np.empty(FLOW_SIZE), np.empty((delays.shape[0], 6))
     for n in range(delays.shape[0]):
         start_flow(start, flow)
-        integrate_flow(drag, LEVEL, flow, delays[n])
+        integrate_flow(drag, level, flow, delays[n])
         for k in range(6):
             out[n, k] = flow[k]
     return out

@@ -39,7 +39,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import engine
-from ..die import Die
 from ..engine import derivatives
 from ..throw import ENDINGS, Ending, State, body_of, checked_release
 from .landings import ThrowSetup
@@ -217,14 +216,14 @@ def largest_lyapunov_exponent(
         logs[k], times[k] = growth[left_out:], clock[left_out:] - before
         if progress is not None:
             progress(k + 1, orbits)
-    return exponents_of(setup.die, logs, times, left_out)
+    return exponents_of(setup, logs, times, left_out)
 
 
-def exponents_of(die: Die, logs: Array, times_s: Array, left_out: int) -> LyapunovExponents:
+def exponents_of(setup: ThrowSetup, logs: Array, times_s: Array, left_out: int) -> LyapunovExponents:
     """The exponents of the logged growth (orbits, impacts) with the times (orbits, impacts) [s] of its impacts."""
     per_second, second_error = _ratio(logs, np.diff(times_s, axis=1, prepend=0.0))
     per_impact, impact_error = _ratio(logs, np.ones_like(logs))
-    unit = float(np.sqrt(die.solid.edge_m / engine.LEVEL.g))
+    unit = float(np.sqrt(setup.die.solid.edge_m / setup.table.gravity_m_s2))
     return LyapunovExponents(
         per_second,
         second_error,

@@ -39,11 +39,15 @@ class Table:
     """A of the oscillation A sin(2πft + phase) along the normal, with t on the clock of the throw."""
     frequency_hz: float = 0.0
     phase_rad: float = 0.0
+    gravity_m_s2: float = GRAVITY_M_S2
+    """Of the place where it stands, along -z in world axes."""
 
     def __post_init__(self) -> None:
-        for name in ("tilt_rad", "downhill_rad", "amplitude_m", "frequency_hz", "phase_rad"):
+        for name in ("tilt_rad", "downhill_rad", "amplitude_m", "frequency_hz", "phase_rad", "gravity_m_s2"):
             if not np.isfinite(getattr(self, name)):
                 raise ValueError(f"{name} = {getattr(self, name)}: wanted a finite number")
+        if not self.gravity_m_s2 > 0.0:
+            raise ValueError(f"gravity_m_s2 = {self.gravity_m_s2}: wanted more than 0, in metres per second squared")
         if self.frequency_hz > MAX_FREQUENCY_HZ:
             raise ValueError(f"frequency_hz = {self.frequency_hz}: wanted hertz, at most {MAX_FREQUENCY_HZ:g}")
         if abs(self.tilt_rad) > MAX_TILT_RAD:
@@ -70,9 +74,9 @@ class Table:
     def plane(self) -> engine.Plane:
         """The record that the kernels take."""
         if self.tilt_rad:
-            down = matrix_from_quat(self.world_from_table).T @ np.array([0.0, 0.0, -GRAVITY_M_S2])
+            down = matrix_from_quat(self.world_from_table).T @ np.array([0.0, 0.0, -self.gravity_m_s2])
         else:
-            down = np.array([0.0, 0.0, -GRAVITY_M_S2])
+            down = np.array([0.0, 0.0, -self.gravity_m_s2])
         amplitude = self.amplitude_m if self.moves else 0.0
         rate = 2.0 * np.pi * self.frequency_hz
         return engine.Plane(float(down[0]), float(down[1]), float(-down[2]), amplitude, rate, self.phase_rad)

@@ -30,7 +30,6 @@ from ..die import Die
 from ..engine import asymmetric, derivatives
 from ..laws import Table
 from ..rotations import cross_matrix, matrix_from_quat, quat_conjugate, quat_multiply
-from ..world import GRAVITY_M_S2
 from .body import asymmetric_body_of, centre_of_mass_state, centroid_state, packed_state, unpacked_state
 from .history import asymmetric_impacts, states_after_events
 from .motion import Flight, State, Throw
@@ -144,8 +143,8 @@ class AsymmetricFlight(Flight):
         centre = centre_of_mass_state(self.die, self.start)
         delay = time_s - self.start.time_s
         position = centre.position_m + centre.velocity_m_s * delay
-        position[2] -= 0.5 * GRAVITY_M_S2 * delay**2
-        velocity = centre.velocity_m_s - np.array([0.0, 0.0, GRAVITY_M_S2 * delay])
+        position[2] -= 0.5 * self.gravity_m_s2 * delay**2
+        velocity = centre.velocity_m_s - np.array([0.0, 0.0, self.gravity_m_s2 * delay])
         quaternion = self._quaternions(np.array([delay]))[0]
         before, after = matrix_from_quat(centre.quaternion), matrix_from_quat(quaternion)
         momentum = before @ self.die.tensor_kg_m2 @ before.T @ centre.omega_rad_s
@@ -157,7 +156,7 @@ class AsymmetricFlight(Flight):
         centre = centre_of_mass_state(self.die, self.start)
         delays = np.atleast_1d(np.asarray(times_s, float)) - self.start.time_s
         positions = centre.position_m + np.outer(delays, centre.velocity_m_s)
-        positions[:, 2] -= 0.5 * GRAVITY_M_S2 * delays**2
+        positions[:, 2] -= 0.5 * self.gravity_m_s2 * delays**2
         quaternions = self._quaternions(delays)
         return positions - matrix_from_quat(quaternions) @ self.die.centre_of_mass_offset_m, quaternions
 
@@ -174,5 +173,8 @@ def throw_from_flights(die: Die, start: State, table: Table, log: Array, end_s: 
     """The Throw of a start and a log of impacts, as `run_asymmetric_tangent` returns it."""
     starts = [start, *states_after_events(die, table, log)]
     ends = [*(float(t) for t in log[:, 0]), end_s]
-    flights = tuple(AsymmetricFlight(start=s, end_s=e, die=die) for s, e in zip(starts, ends, strict=True))
+    flights = tuple(
+        AsymmetricFlight(start=s, end_s=e, gravity_m_s2=table.gravity_m_s2, die=die)
+        for s, e in zip(starts, ends, strict=True)
+    )
     return Throw(flights, asymmetric_impacts(die, table, log, flights))

@@ -17,7 +17,6 @@ from .. import engine
 from ..die import Die
 from ..laws import LEVEL, Table
 from ..rotations import matrix_from_quat, quat_multiply
-from ..world import GRAVITY_M_S2
 from .asymmetric_throw import AsymmetricThrow
 from .body import body_of, centroid_state, packed_state, touching_vertices, unpacked_state
 from .held_contact import HeldContact
@@ -92,7 +91,7 @@ def throw_from_asymmetric(motion: AsymmetricThrow, release: State, table: Table)
     starts = [release, *states_after_events(motion.die, table, motion.log)]
     ends = [*(float(time) for time in motion.log[:, 0]), motion.end_s]
     flights = tuple(
-        AsymmetricMotion(start=start, end_s=end, motion=motion, table=table)
+        AsymmetricMotion(start=start, end_s=end, gravity_m_s2=table.gravity_m_s2, motion=motion, table=table)
         for start, end in zip(starts, ends, strict=True)
     )
     return Throw(flights, asymmetric_impacts(motion.die, table, motion.log, flights))
@@ -139,8 +138,8 @@ def _asymmetric_impact(die: Die, table: Table, row: Array, before: State, after:
         impulse_N_s=world_from_table @ momentum,
         normal_velocity_before_m_s=speeds[0],
         normal_velocity_after_m_s=speeds[1],
-        energy_before_J=energy_J(die, before),
-        energy_after_J=energy_J(die, after),
+        energy_before_J=energy_J(die, before, table.gravity_m_s2),
+        energy_after_J=energy_J(die, after, table.gravity_m_s2),
         lowest_face_before=faces[0],
         lowest_face_after=faces[1],
         chi=-speeds[1] / speeds[0] if strikes and speeds[0] else float("nan"),
@@ -153,7 +152,8 @@ def _flight(setup: _Setup, packed: Array, begin: float, end: float, contact: Pai
         lifted = packed[0:3] + np.array([0.0, 0.0, setup.die.corner_radius_m])
         quaternion = quat_multiply(setup.quaternion, packed[3:7])
         position, velocity, omega = setup.matrix @ lifted, setup.matrix @ packed[7:10], setup.matrix @ packed[10:13]
-        return Flight(State(begin, position, quaternion, velocity, omega), end)
+        state = State(begin, position, quaternion, velocity, omega)
+        return Flight(state, end, gravity_m_s2=setup.table.gravity_m_s2)
     vertices = _held_vertices(contact)
     if contact[1] == HELD_FACE:
         vertices = setup.die.solid.faces[engine.lowest_face_row(setup.die.solid.normals, packed)]
@@ -165,6 +165,7 @@ def _flight(setup: _Setup, packed: Array, begin: float, end: float, contact: Pai
         vertices=vertices,
         knots=knots,
         body=setup.body,
+        gravity_m_s2=setup.table.gravity_m_s2,
         plane=setup.table.plane,
         has_friction=contact[1] == HELD_WITH_FRICTION,
         world_from_table=setup.quaternion,
@@ -219,7 +220,7 @@ def _energy_J(setup: _Setup, packed: Array) -> float:
     v, w, die = packed[7:10], packed[10:13], setup.die
     height = float(setup.matrix[2] @ (packed[0:3] + np.array([0.0, 0.0, die.corner_radius_m])))
     kinetic = 0.5 * die.mass_kg * float(v @ v) + 0.5 * die.inertia_kg_m2 * float(w @ w)
-    return kinetic + die.mass_kg * GRAVITY_M_S2 * height
+    return kinetic + die.mass_kg * setup.table.gravity_m_s2 * height
 
 
 def _lowest_face_halfway(die: Die, flight: Flight) -> int:

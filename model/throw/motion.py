@@ -52,19 +52,21 @@ class Flight:
     covariance: Array | None = None
     """(12, 12) of a measured `start`: position [m], rotation vector [rad], velocity [m/s] and angular velocity [rad/s],
     world axes, R_true = exp(δ) R. None for a simulated flight."""
+    gravity_m_s2: float = GRAVITY_M_S2
+    """Along -z."""
 
     def at(self, time_s: float) -> State:
         """The state at any instant; before and after the flight its motion is extrapolated."""
         dt = time_s - self.start.time_s
         positions, quaternions = self.poses(np.array([time_s]))
-        velocity = self.start.velocity_m_s - np.array([0.0, 0.0, GRAVITY_M_S2 * dt])
+        velocity = self.start.velocity_m_s - np.array([0.0, 0.0, self.gravity_m_s2 * dt])
         return State(time_s, positions[0], quaternions[0], velocity, self.start.omega_rad_s)
 
     def poses(self, times_s: ArrayLike) -> tuple[Array, Array]:
         """Positions (n, 3) [m] and quaternions (n, 4) wxyz at times (n,) [s]."""
         dt = np.asarray(times_s, float) - self.start.time_s
         positions = self.start.position_m + np.outer(dt, self.start.velocity_m_s)
-        positions[:, 2] -= 0.5 * GRAVITY_M_S2 * dt**2
+        positions[:, 2] -= 0.5 * self.gravity_m_s2 * dt**2
         turns = quat_from_rotvec(np.outer(dt, self.start.omega_rad_s))
         return positions, quat_multiply(turns, self.start.quaternion)
 
@@ -72,7 +74,7 @@ class Flight:
         """Velocities [m/s] and angular velocities [rad/s] (n, 6), world axes, at times (n,) [s]."""
         dt = np.asarray(times_s, float) - self.start.time_s
         rates = np.tile(np.concatenate([self.start.velocity_m_s, self.start.omega_rad_s]), (len(dt), 1))
-        rates[:, 2] -= GRAVITY_M_S2 * dt
+        rates[:, 2] -= self.gravity_m_s2 * dt
         return rates
 
 
@@ -185,7 +187,7 @@ def rotated_state(state: State, rotation: Array) -> State:
     )
 
 
-def energy_J(die: Die, state: State) -> float:
+def energy_J(die: Die, state: State, gravity_m_s2: float = GRAVITY_M_S2) -> float:
     """Kinetic plus potential energy [J], zero for a die at rest with its centre of mass at the height of the table."""
     position, v, w = state.position_m, state.velocity_m_s, state.omega_rad_s
     if die.is_spherical_top:
@@ -195,4 +197,4 @@ def energy_J(die: Die, state: State) -> float:
         rotational = float(spin @ die.tensor_kg_m2 @ spin)
         arm = state.rotation @ die.centre_of_mass_offset_m
         position, v = position + arm, v + np.cross(w, arm)
-    return 0.5 * (die.mass_kg * float(v @ v) + rotational) + die.mass_kg * GRAVITY_M_S2 * float(position[2])
+    return 0.5 * (die.mass_kg * float(v @ v) + rotational) + die.mass_kg * gravity_m_s2 * float(position[2])

@@ -160,7 +160,9 @@ class DraggedFlight(Flight):
 
     def _trajectory(self, times: Array) -> Array:
         """Positions and velocities (n, 6) at times (n,) [s]."""
-        return engine.drag_trajectory(self.drag_per_m, packed_state(self.start), times - self.start.time_s)
+        return engine.drag_trajectory(
+            self.drag_per_m, self.gravity_m_s2, packed_state(self.start), times - self.start.time_s
+        )
 
 
 def propagate(
@@ -369,5 +371,8 @@ def _spherical_throw(die: Die, run: TangentRun, log: Array, end_s: float, table:
     throw = throw_from_log(die, run.start, run.start_time_s, log, end_s, table=table)
     if drag_per_m == 0.0:
         return throw
-    flights = tuple(DraggedFlight(start=f.start, end_s=f.end_s, drag_per_m=drag_per_m) for f in throw.flights)
+    flights = tuple(
+        DraggedFlight(start=f.start, end_s=f.end_s, gravity_m_s2=f.gravity_m_s2, drag_per_m=drag_per_m)
+        for f in throw.flights
+    )
     return Throw(flights, throw.impacts)

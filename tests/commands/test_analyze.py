@@ -150,6 +150,41 @@ def test_the_restitution_is_the_true_one_and_inside_its_interval(folder: Path) -
     assert chi.level == 0.95
 
 
+def test_with_a_quarter_of_gravity_the_same_pictures_take_twice_the_time(folder: Path, tmp_path: Path) -> None:
+    """The motions of rigid bodies under k g are those under g, slower by the root of k: poses and restitution are the same."""
+    for name in ("clip.mp4", "background.png"):
+        (tmp_path / name).symlink_to(SCENE.parent / name)
+    text = (
+        SCENE.read_text().replace("fps = 1500.0", "fps = 750.0").replace("exposure_s = 0.0002", "exposure_s = 0.0004")
+    )
+    scene = tmp_path / "scene.toml"
+    scene.write_text(f"{text}\n[world]\ngravity_m_s2 = {9.81 / 4!r}\n")
+    for name, command in {
+        "out": ["analyze", str(scene)],
+        "fitted": ["fit", str(tmp_path / "out" / "track_frames.csv"), "--scene", str(scene)],
+    }.items():
+        result = CliRunner().invoke(app, [*command, "--out", str(tmp_path / name)])
+        assert result.exit_code == 0, result.stderr
+    usual, slow = read_track(folder / "track.csv"), read_track(tmp_path / "out" / "track.csv")
+    assert np.array_equal(usual.status, slow.status)
+    np.testing.assert_allclose(slow.time_s, 2.0 * usual.time_s)
+    both = usual.tracked
+    # A twentieth of the errors of poses.
+    assert np.linalg.norm(slow.position_m - usual.position_m, axis=1)[both].max() < 1e-6
+    assert angle_between(slow.quaternion[both], usual.quaternion[both]).max() < 1e-4
+    # A fit of the track does not know the errors that all frames share through the camera.
+    for name, instant_s in (("out", 1e-6), ("fitted", 1e-5)):
+        chi, again = (read_fit(path / "fit.json").parameters["chi"] for path in (folder, tmp_path / name))
+        assert again.value == pytest.approx(chi.value, abs=1e-4)
+        assert again.low == pytest.approx(chi.low, abs=5e-4)
+        assert again.high == pytest.approx(chi.high, abs=5e-4)
+        here, there = (read_bounces(path / "bounces.csv") for path in (folder, tmp_path / name))
+        for one, other in zip(here, there, strict=True):
+            assert other.time_s == pytest.approx(2.0 * one.time_s, abs=instant_s)
+            assert other.energy_before_J == pytest.approx(0.25 * one.energy_before_J, rel=1e-3)
+            assert other.energy_after_J == pytest.approx(0.25 * one.energy_after_J, rel=1e-3)
+
+
 def test_the_models_track_lies_on_the_measured_one(folder: Path) -> None:
     track, simulated = read_track(folder / "track.csv"), read_simulated(folder / "simulated.csv")
     both = track.tracked & simulated.tracked

@@ -103,6 +103,16 @@ def test_a_film_with_a_response_names_it_and_is_undone_by_it(plan: Path, scene: 
     assert "response" not in scene_text(linear, "clip.avi")
 
 
+def test_a_film_on_the_moon_says_so(plan: Path, tmp_path: Path) -> None:
+    plan.write_text(f"{plan.read_text()}\n[world]\ngravity_m_s2 = 1.62\n")
+    job = film_job(read_plan(plan), None, FilmSettings(start_s=0.01), "film")
+    assert {flight.gravity_m_s2 for flight in job.throw.flights} == {1.62}
+    (tmp_path / "clip.avi").touch()
+    (tmp_path / "background.png").touch()
+    filmed = read_scene(text_file(tmp_path / "scene.toml", scene_text(job, "clip.avi")))
+    assert filmed.table.in_model.gravity_m_s2 == 1.62
+
+
 def test_a_later_start_gives_the_same_throw_with_time_zero_there(plan: Path) -> None:
     whole, late = (film_job(read_plan(plan), None, FilmSettings(start_s=s), "film").throw for s in (0.0, 0.01))
     for t in (0.0, 0.02, 0.05):

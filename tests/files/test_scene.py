@@ -50,6 +50,17 @@ MISTAKES = {
     ),
     "readout of text": ("fps = 1500.0", 'fps = 1500.0\nreadout_s = "slow"', ["clip.readout_s", '"slow"', "0 or more"]),
     "camera in millimetres": ("[0.0, 0.02, 0.6]", "[0, 20, 600]", ["translation_m", "metres", "[0, 0.02, 0.6]?"]),
+    "gravity in centimetres": (
+        "[table]",
+        "[world]\ngravity_m_s2 = 981.0\n[table]",
+        ["world.gravity_m_s2 = 981", "9.78"],
+    ),
+    "gravity upwards": (
+        "[table]",
+        "[world]\ngravity_m_s2 = -9.81\n[table]",
+        ["world.gravity_m_s2 = -9.81", "0.1 to 30"],
+    ),
+    "gravity of text": ("[table]", '[world]\ngravity_m_s2 = "moon"\n[table]', ["world.gravity_m_s2", '"moon"']),
     "text for a number": ("fps = 1500.0", 'fps = "1500"', ["clip.fps", '"1500"', "frames per second"]),
     "truth value for a number": ("fps = 1500.0", "fps = true", ["clip.fps", "true", "frames per second"]),
     "fps of zero": ("fps = 1500.0", "fps = 0", ["clip.fps = 0", "above 0"]),

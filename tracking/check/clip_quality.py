@@ -179,7 +179,10 @@ def measure_clip_quality(
     noise = pixel_noise(sample, empty, facts.level_grey)
     background_match = _background_match(sample, empty, estimated, clip.bit_depth, facts.level_grey)
     tracked_part, times, failure, notices = None, None, "", clip.notices
-    view = make_view(camera, die, empty, noise, facts.exposure_s, START_BLUR_PX, readout_s=facts.readout_s)
+    view = make_view(
+        camera, die, empty, noise, facts.exposure_s, START_BLUR_PX, readout_s=facts.readout_s,
+        gravity_m_s2=facts.gravity_m_s2,
+    )  # fmt: skip
     first = _first_frame_with_die(clip, view, facts.start)
     if first is None:
         failure = "no frame that was searched shows the whole of anything that could be a die"
@@ -192,7 +195,10 @@ def measure_clip_quality(
             still = PixelNoise(noise.noise_grey, level_grey=noise.level_grey)
 
             def view_with(readout_s: float, blur_px: float = START_BLUR_PX) -> View:
-                return make_view(camera, followed.die, empty, still, facts.exposure_s, blur_px, readout_s=readout_s)
+                return make_view(
+                    camera, followed.die, empty, still, facts.exposure_s, blur_px, readout_s=readout_s,
+                    gravity_m_s2=facts.gravity_m_s2,
+                )  # fmt: skip
 
             tracked_part = _tracked_part(part, followed.track, view_with(facts.readout_s), followed.corners)
             tracked_part = _with_readout(part, tracked_part, view_with, facts.readout_s)
@@ -318,7 +324,7 @@ def _diameter_px(view: View, position: Array, rotation: Array) -> float:
 
 def _shift_px(view: View, state: State, time_s: float) -> float:
     """Distance [px] that the fastest corner moves in the picture in `time_s`, at its present velocity."""
-    flight = Flight(state, np.inf)
+    flight = Flight(state, np.inf, gravity_m_s2=view.gravity_m_s2)
     now, then = (
         view.camera.project(view.die.solid.vertices @ each.rotation.T + each.position_m)
         for each in (state, flight.at(state.time_s + SHORT_S))

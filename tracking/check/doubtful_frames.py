@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from ...model.die import Die
 from ...model.throw import Flight, energy_J
-from ...model.world import GRAVITY_M_S2
 from ..throw import MeasuredThrow, lowest_heights_m
 from ..track import Track
 
@@ -89,6 +88,6 @@ def _gaining_energy(found: MeasuredThrow, track: Track) -> Mask:
 def _energy(die: Die, flight: Flight) -> tuple[float, float]:
     """Energy [J] of a flight with a covariance, and its standard error, for which the die counts as a spherical top."""
     v, w = flight.start.velocity_m_s, flight.start.omega_rad_s
-    weight = np.array([0.0, 0.0, die.mass_kg * GRAVITY_M_S2])
+    weight = np.array([0.0, 0.0, die.mass_kg * flight.gravity_m_s2])
     slope = np.concatenate([weight, np.zeros(3), die.mass_kg * v, die.inertia_kg_m2 * w])
-    return energy_J(die, flight.start), float(np.sqrt(max(slope @ flight.covariance @ slope, 0.0)))
+    return energy_J(die, flight.start, flight.gravity_m_s2), float(np.sqrt(max(slope @ flight.covariance @ slope, 0.0)))

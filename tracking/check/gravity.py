@@ -44,9 +44,11 @@ class Fall:
     """The acceleration of the die in its flights, with nothing assumed about it."""
 
     acceleration_m_s2: Array
-    """(3,) world axes; gravity is (0, 0, -9.81)."""
+    """(3,) world axes."""
     covariance: Array
     """(3, 3) [m²/s⁴], scaled by the residuals of the frames where these are larger than the frames' covariances state."""
+    gravity_m_s2: float = GRAVITY_M_S2
+    """Of the place, as the scene states it."""
 
 
 def measure_fall(track: Track, throw: Throw) -> Fall | None:
@@ -64,27 +66,28 @@ def measure_fall(track: Track, throw: Throw) -> Fall | None:
     if not information.any():
         return None
     common = np.asarray(np.linalg.inv(information), np.float64)
-    return Fall(common @ weighted_sum, common)
+    return Fall(common @ weighted_sum, common, track.gravity_m_s2)
 
 
 def fall_notices(fall: Fall | None) -> tuple[str, ...]:
     """A notice where the acceleration clearly differs from gravity, with what would correct it."""
     if fall is None:
         return ()
-    deviation = fall.acceleration_m_s2 + np.array([0.0, 0.0, GRAVITY_M_S2])
+    deviation = fall.acceleration_m_s2 + np.array([0.0, 0.0, fall.gravity_m_s2])
     size = float(np.linalg.norm(deviation))
     sigma = float(np.sqrt(deviation @ fall.covariance @ deviation)) / size if size > 0 else np.inf
-    if size < max(MIN_DEVIATION * GRAVITY_M_S2, MIN_DEVIATION_SIGMAS * sigma):
+    if size < max(MIN_DEVIATION * fall.gravity_m_s2, MIN_DEVIATION_SIGMAS * sigma):
         return ()
     down, aside = -float(fall.acceleration_m_s2[2]), float(np.linalg.norm(fall.acceleration_m_s2[:2]))
     measured = (
-        f"The die accelerates downwards with {down:.3g} m/s² and sideways with {aside:.2g}, and gravity is 9.81 and 0"
+        f"The die accelerates downwards with {down:.3g} m/s² and sideways with {aside:.2g}, and gravity is "
+        f"{fall.gravity_m_s2:g} and 0"
     )
-    if down <= 0 or aside > MAX_ASIDE_SHARE * abs(down - GRAVITY_M_S2):
+    if down <= 0 or aside > MAX_ASIDE_SHARE * abs(down - fall.gravity_m_s2):
         return (
             f"{measured}: calibrate again, or correct [die]; the rotation of [camera] may not be that of this clip.",
         )
-    share = GRAVITY_M_S2 / down
+    share = fall.gravity_m_s2 / down
     return (
         f"{measured}: multiply die.edge_m by {share:.3g} or clip.fps by {np.sqrt(share):.3g} if one of them is wrong; else "
         "calibrate again, [camera] may not be that of this clip.",

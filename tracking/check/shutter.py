@@ -93,7 +93,7 @@ def _exposed_state(track: Track, throw: Throw, view: View, row: int) -> State:
     motion = throw.at(time_s)
     state = State(time_s, position_m, track.quaternion[row], motion.velocity_m_s, motion.omega_rad_s)
     late_s = float(view.exposure_delay_s(position_m[None])[0])
-    return replace(Flight(state, np.inf).at(time_s + late_s), time_s=time_s)
+    return replace(Flight(state, np.inf, gravity_m_s2=track.gravity_m_s2).at(time_s + late_s), time_s=time_s)
 
 
 def _least(trials: Array, values: Array) -> float:

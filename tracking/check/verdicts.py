@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die
-from ...model.world import GRAVITY_M_S2
 from ..clip_parameters import CornerRounding
 from ..footage import AS_STORED, MOSAIC, REPEATED, TURNED
 from ..timing import FaultKind, FrameTimes
@@ -415,7 +414,7 @@ def _scale(fall: Fall | None, die: Die) -> Finding:
     size = float(np.linalg.norm(fall.acceleration_m_s2))
     along = fall.acceleration_m_s2 / size
     wide = TWO_SIDED_95 * float(np.sqrt(along @ fall.covariance @ along))
-    edge, share = die.solid.edge_m, GRAVITY_M_S2 / size
+    edge, share = die.solid.edge_m, fall.gravity_m_s2 / size
     found, half = edge * share, edge * share * wide / size
     values: dict[str, float | None] = {
         "acceleration_m_s2": size,
@@ -424,7 +423,7 @@ def _scale(fall: Fall | None, die: Die) -> Finding:
         "edge_from_fall_half_width_m": half,
     }
     measured = (
-        f"The die falls with {size:.4g} ± {wide:.2g} m/s² (95 %), and gravity is {GRAVITY_M_S2:g}: its edge would be "
+        f"The die falls with {size:.4g} ± {wide:.2g} m/s² (95 %), and gravity is {fall.gravity_m_s2:g}: its edge would be "
         f"{1e3 * found:.4g} ± {1e3 * half:.2g} mm, the scene says {1e3 * edge:.4g} mm."
     )
     off, doubt = abs(share - 1.0), wide / size
@@ -446,7 +445,7 @@ def _vertical(fall: Fall | None) -> Finding:
     a = fall.acceleration_m_s2
     tilt = float(np.arctan2(np.linalg.norm(a[:2]), -a[2]))
     aside = a[:2] / max(float(np.linalg.norm(a[:2])), 1e-12)
-    wide = TWO_SIDED_95 * float(np.sqrt(aside @ fall.covariance[:2, :2] @ aside)) / GRAVITY_M_S2
+    wide = TWO_SIDED_95 * float(np.sqrt(aside @ fall.covariance[:2, :2] @ aside)) / fall.gravity_m_s2
     measured = f"The die falls at {np.degrees(tilt):.2g} ± {np.degrees(wide):.2g}° (95 %) to the vertical of [camera]."
     values: dict[str, float | None] = {"tilt_rad": tilt, "tilt_half_width_rad": wide}
     if tilt <= max(GOOD_TILT_RAD, wide) and wide <= MAX_TILT_RAD:

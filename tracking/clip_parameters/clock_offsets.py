@@ -141,7 +141,7 @@ def _view_of_one(view: View, c: int) -> View:
     noise = PixelNoise(view.noise_grey, view.rounding_grey, view.level_grey)
     alone = make_view(
         camera, view.die, background, noise, view.exposure_s, view.blur_px, mirror=mirror, quality=view.quality,
-        readout_s=view.readout_s,
+        readout_s=view.readout_s, gravity_m_s2=view.gravity_m_s2,
     )  # fmt: skip
     return replace(alone, light=LightPrior(*(values[view.rig.camera == c] for values in view.light)))
 

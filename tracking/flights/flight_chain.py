@@ -29,7 +29,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.throw import Flight, State
-from ...model.world import GRAVITY_M_S2
 from . import flight_kernels as kernels
 from .chain_solver import MAX_LINK_SIZE, Stages, chain_covariance, solve_chain
 from .flight_kernels import FrameInformation, ImpactEquations, VertexImpacts
@@ -411,7 +410,7 @@ class _Unknowns:
     ) -> _Unknowns:
         """The unknowns at initial states of the flights, arguments as `fit_chain`."""
         numbers, times_s = np.array([packed(start) for start in starts]), np.array([link.time_s for link in links])
-        fallen = np.diff(numbers[:, 0])[:, None] * np.array([0.0, 0.0, GRAVITY_M_S2])
+        fallen = np.diff(numbers[:, 0])[:, None] * np.array([0.0, 0.0, observations.gravity_m_s2])
         # Both sides of a link fall alike: only the difference between their times of fall remains.
         jumps = np.hstack([np.diff(numbers[:, 8:11], axis=0) + fallen, np.diff(numbers[:, 11:14], axis=0)])
         spacing_s = float(np.median(np.diff(observations.time_s))) if len(observations) > 1 else 1.0
@@ -440,7 +439,10 @@ class _Unknowns:
 
     def trajectory(self) -> _Trajectory:
         """The motion at the present values."""
-        states, ends, transitions = propagate_chain(self.first, self.times_s, self.jumps, self.is_open, self.free)
+        gravity_m_s2 = self.observations.gravity_m_s2
+        states, ends, transitions = propagate_chain(
+            self.first, self.times_s, self.jumps, self.is_open, self.free, gravity_m_s2
+        )
         inside = np.searchsorted(self.observations.time_s, self.times_s, side="right")
         cuts = np.concatenate([[0], inside, [len(self.observations)]]).astype(np.int64)
         residuals = chain_residuals(self.observations, cuts, states, self.shared)
@@ -555,17 +557,17 @@ class _Unknowns:
 
     def _flights(self, states: Array, covariances: Sequence[Array]) -> tuple[Flight, ...]:
         """The flights from packed states (flights, 14), each stated at its own beginning."""
-        begins = np.append(self.observations.time_s[0], self.times_s)
+        gravity_m_s2, begins = self.observations.gravity_m_s2, np.append(self.observations.time_s[0], self.times_s)
         ends = np.append(self.times_s, self.observations.time_s[-1])
         flights = []
         for k, numbers in enumerate(states):
             state, C = unpacked(numbers), covariances[k]
             if state.time_s != begins[k]:
                 # The free state of a chain or of a flight behind an open link is stated at its reference instant.
-                motion = Flight(state, np.inf)
+                motion = Flight(state, np.inf, gravity_m_s2=gravity_m_s2)
                 transition = transition_matrix(motion, float(begins[k]))
                 state, C = motion.at(float(begins[k])), transition @ C @ transition.T
-            flights.append(Flight(state, float(ends[k]), (C + C.T) / 2.0))
+            flights.append(Flight(state, float(ends[k]), (C + C.T) / 2.0, gravity_m_s2))
         return tuple(flights)
 
     def _gradient_covariances(self, trajectory: _Trajectory, weights: Array, normal: Array) -> Array:

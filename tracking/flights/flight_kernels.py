@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.compiled import compiled, inner
-from ...model.world import GRAVITY_M_S2
 
 Array = NDArray[np.float64]
 
@@ -44,6 +43,8 @@ class PoseArrays(NamedTuple):
     """(n, 6, 6) W with WᵀW the inverse covariance."""
     bias_jacobian: Array
     """(n, 6, m) change of the pose for each of m errors that the whole clip shares."""
+    gravity: float
+    """[m/s²] along -z."""
 
 
 class FrameInformation(NamedTuple):
@@ -53,6 +54,17 @@ class FrameInformation(NamedTuple):
     """(n, 6 + m, 6 + m) inverse covariance."""
     to_gradient: Array
     """(n, 6 + m, 6) from whitened residuals to a gradient."""
+
+
+class ChainMotion(NamedTuple):
+    """The motion of a chain of flights, to be filled."""
+
+    states: Array
+    """(N + 1, 14) packed, at the start of each flight."""
+    ends: Array
+    """(N, 14) at the end of each but the last."""
+    transitions: Array
+    """(N, 12, 12) from start to end."""
 
 
 class VertexImpacts(NamedTuple):
@@ -82,12 +94,12 @@ class ImpactEquations(NamedTuple):
 @compiled(nogil=True)
 def residuals(poses: PoseArrays, shared: Array, cuts: NDArray[np.int64], states: Array, out: Array) -> None:
     """Fill the whitened residuals (n, 6) of frames: observed minus motion, shared errors subtracted."""
-    time, position, quaternion, W, bias_jacobian = poses
+    time, position, quaternion, W, bias_jacobian, gravity = poses
     e = np.empty(6)
     for flight in range(len(states)):
         state = states[flight]
         for k in range(cuts[flight], cuts[flight + 1]):
-            _pose_residual(time[k], position[k], quaternion[k], state, e)
+            _pose_residual(time[k], position[k], quaternion[k], gravity, state, e)
             for j in range(len(shared)):
                 for b in range(6):
                     e[b] -= bias_jacobian[k, b, j] * shared[j]
@@ -259,14 +271,14 @@ def _frame_jacobian(time: float, W: Array, bias_jacobian: Array, state: Array, r
 
 
 @inner
-def _pose_residual(time: float, position: Array, quaternion: Array, state: Array, e: Array) -> None:
+def _pose_residual(time: float, position: Array, quaternion: Array, gravity: float, state: Array, e: Array) -> None:
     """Fill the pose residual (6,) of one frame, observed minus motion: position [m], rotation vector [rad]."""
     dt = time - state[0]
     x, y, z = state[11] * dt, state[12] * dt, state[13] * dt
     angle = sqrt(x * x + y * y + z * z)
     for i in range(3):
         e[i] = position[i] - state[1 + i] - dt * state[8 + i]
-    e[2] += 0.5 * GRAVITY_M_S2 * dt * dt
+    e[2] += 0.5 * gravity * dt * dt
     half = sin(0.5 * angle) / angle if angle > SMALL_ANGLE_RAD else 0.5
     q = _quaternion_product(cos(0.5 * angle), half * x, half * y, half * z, state[4], state[5], state[6], state[7])
     w, a, b, c = _quaternion_product(
@@ -280,7 +292,7 @@ def _pose_residual(time: float, position: Array, quaternion: Array, state: Array
 
 
 @inner
-def _propagate_state(state: Array, time: float, out: Array, M: Array) -> None:
+def _propagate_state(state: Array, time: float, gravity: float, out: Array, M: Array) -> None:
     """Fill the state (14,) at another instant, and the transition matrix (12, 12) to it."""
     dt = time - state[0]
     x, y, z = state[11] * dt, state[12] * dt, state[13] * dt
@@ -296,22 +308,23 @@ def _propagate_state(state: Array, time: float, out: Array, M: Array) -> None:
         M[i, i], M[6 + i, 6 + i], M[9 + i, 9 + i], M[i, 6 + i] = 1.0, 1.0, 1.0, dt
         for j in range(3):
             M[3 + i, 3 + j], M[3 + i, 9 + j] = E[i, j], L[i, j]
-    out[3] -= 0.5 * GRAVITY_M_S2 * dt * dt
-    out[10] -= GRAVITY_M_S2 * dt
+    out[3] -= 0.5 * gravity * dt * dt
+    out[10] -= gravity * dt
     for i in range(4):
         out[4 + i] = q[i]
 
 
 @compiled(nogil=True)
 def propagate(
-    first: Array, times_s: Array, jumps: Array, is_open: NDArray[np.bool_], free: Array, states: Array, ends: Array,
-    transitions: Array,
+    first: Array, times_s: Array, jumps: Array, is_open: NDArray[np.bool_], free: Array, gravity: float,
+    out: ChainMotion,
 ) -> None:  # fmt: skip
     """Fill the states of a chain, flight by flight, with the transition matrix of each flight."""
+    states, ends, transitions = out
     for i in range(14):
         states[0, i] = first[i]
     for k in range(len(times_s)):
-        _propagate_state(states[k], times_s[k], ends[k], transitions[k])
+        _propagate_state(states[k], times_s[k], gravity, ends[k], transitions[k])
         for i in range(14):
             states[k + 1, i] = free[k, i] if is_open[k] else ends[k, i]
         if not is_open[k]:
@@ -425,13 +438,13 @@ def _quaternion_product(
 
 
 @inner
-def _fit_flight(time: Array, position: Array, quaternion: Array, W: Array, state: Array, inverse: Array) -> float:
+def _fit_flight(poses: PoseArrays, state: Array, inverse: Array) -> float:
     """Gauss-Newton through the frames of one flight with independent errors. Fills the state (14,) and the inverse normal matrix;
     returns the sum of squared sigmas."""
+    time = poses.time_s
     n = len(time)
     states, trial = np.empty((1, 14)), np.empty((1, 14))
-    _initial_state(time, position, quaternion, states[0])
-    poses = PoseArrays(time, position, quaternion, W, np.zeros((n, 6, 0)))
+    _initial_state(time, poses.position_m, poses.quaternion, poses.gravity, states[0])
     weight, none = np.ones(n), np.zeros(0)
     information = FrameInformation(np.empty((n, 6, 6)), np.empty((n, 6, 6)))
     frame_information(poses, np.ones(6), information)
@@ -465,14 +478,15 @@ def _fit_flight(time: Array, position: Array, quaternion: Array, W: Array, state
 
 
 @compiled(nogil=True)
-def fit_flights(
-    time: Array, position: Array, quaternion: Array, W: Array, ends: NDArray[np.int64], states: Array, inverses: Array,
-    chi2: Array,
-) -> None:  # fmt: skip
+def fit_flights(poses: PoseArrays, ends: NDArray[np.int64], states: Array, inverses: Array, chi2: Array) -> None:
     """One flight through each group of frames, which lie one after the other."""
     for group in range(len(states)):
         a, b = ends[group], ends[group + 1]
-        chi2[group] = _fit_flight(time[a:b], position[a:b], quaternion[a:b], W[a:b], states[group], inverses[group])
+        frames = PoseArrays(
+            poses.time_s[a:b], poses.position_m[a:b], poses.quaternion[a:b], poses.whitener[a:b], np.zeros((b - a, 6, 0)),
+            poses.gravity,
+        )  # fmt: skip
+        chi2[group] = _fit_flight(frames, states[group], inverses[group])
 
 
 @inner
@@ -485,7 +499,7 @@ def _sum_of_squares(residual: Array) -> float:
 
 
 @inner
-def _initial_state(time: Array, position: Array, quaternion: Array, state: Array) -> None:
+def _initial_state(time: Array, position: Array, quaternion: Array, gravity: float, state: Array) -> None:
     """Fill an initial state at the middle frame: the mean spin between neighbours, and a line from the first to the last frame
     with the fall subtracted. Errors of the frames between cancel in both."""
     n = len(time)
@@ -507,7 +521,7 @@ def _initial_state(time: Array, position: Array, quaternion: Array, state: Array
         state[12] += factor * y / span
         state[13] += factor * z / span
     for i in range(3):
-        fall = 0.5 * GRAVITY_M_S2 if i == 2 else 0.0
+        fall = 0.5 * gravity if i == 2 else 0.0
         first = position[0, i] + fall * (time[0] - t0) ** 2
         last = position[n - 1, i] + fall * (time[n - 1] - t0) ** 2
         state[8 + i] = (last - first) / span if n > 1 else 0.0

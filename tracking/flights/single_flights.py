@@ -24,9 +24,10 @@ from numpy.typing import NDArray
 
 from ...model.rotations import cross_matrix, matrix_from_quat, quat_from_rotvec, quat_multiply
 from ...model.throw import Flight, State
+from ...model.world import GRAVITY_M_S2
 from ..covariance import SINGULAR_EIGENVALUE
 from . import flight_kernels as kernels
-from .flight_kernels import FrameInformation, PoseArrays
+from .flight_kernels import ChainMotion, FrameInformation, PoseArrays
 
 Array = NDArray[np.float64]
 
@@ -85,11 +86,14 @@ class WeightedPoses:
     """(n, 6, 6): W with WᵀW the inverse covariance."""
     bias_jacobian: Array
     """(n, 6, m) change of the pose for each of m errors that the whole clip shares; m may be 0."""
+    gravity_m_s2: float = GRAVITY_M_S2
+    """With which the die falls, along -z."""
 
     @staticmethod
     def from_poses(
-        time_s: Array, position_m: Array, quaternion: Array, covariance: Array, *, unmodelled: float = 1.0
-    ) -> WeightedPoses:
+        time_s: Array, position_m: Array, quaternion: Array, covariance: Array, *, unmodelled: float = 1.0,
+        gravity_m_s2: float = GRAVITY_M_S2,
+    ) -> WeightedPoses:  # fmt: skip
         """Poses of frames (n,) with their covariance (n, 6, 6).
 
         `unmodelled` is the factor on UNMODELLED_POSITION_M and UNMODELLED_ROTATION_RAD, whose squares are added. A frame whose
@@ -97,7 +101,7 @@ class WeightedPoses:
         most = np.diag([UNMODELLED_POSITION_M**2] * 3 + [UNMODELLED_ROTATION_RAD**2] * 3)
         known = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
         C = np.where(known[:, None, None], np.where(known[:, None, None], covariance, 0.0) + unmodelled**2 * most, most)
-        return WeightedPoses(time_s, position_m, quaternion, _whiteners(C), np.zeros((len(time_s), 6, 0)))
+        return WeightedPoses(time_s, position_m, quaternion, _whiteners(C), np.zeros((len(time_s), 6, 0)), gravity_m_s2)
 
     def with_bias_jacobian(self, bias_jacobian: Array) -> WeightedPoses:
         """The same frames with errors (n, 6, m) that the clip shares."""
@@ -111,7 +115,12 @@ class WeightedPoses:
             self.quaternion[which],
             self.whitener[which],
             self.bias_jacobian[which],
+            self.gravity_m_s2,
         )
+
+    def flight(self, state: State) -> Flight:
+        """The flight of a die that falls as here, from a state on."""
+        return Flight(state, np.inf, gravity_m_s2=self.gravity_m_s2)
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -180,17 +189,16 @@ def gradient_covariances(
 
 
 def propagate_chain(
-    first: Array, times_s: Array, jumps: Array, is_open: NDArray[np.bool_], free: Array
-) -> tuple[Array, Array, Array]:
-    """Packed start states (N + 1, 14) of a chain of flights, states at the end of each (N, 14), and the transition matrices
-    (N, 12, 12) from start to end.
+    first: Array, times_s: Array, jumps: Array, is_open: NDArray[np.bool_], free: Array, gravity_m_s2: float
+) -> ChainMotion:
+    """The motion of a chain of N + 1 flights.
 
     The chain goes on from `first` (14,) over `jumps` (N, 6) of velocity and spin at `times_s` (N,), or with the state `free` (N,
     14) where a link is open."""
     n = len(times_s)
-    states, ends, transitions = np.empty((n + 1, 14)), np.empty((n, 14)), np.zeros((n, 12, 12))
-    kernels.propagate(first, times_s, jumps, is_open, free, states, ends, transitions)
-    return states, ends, transitions
+    motion = ChainMotion(np.empty((n + 1, 14)), np.empty((n, 14)), np.zeros((n, 12, 12)))
+    kernels.propagate(first, times_s, jumps, is_open, free, gravity_m_s2, motion)
+    return motion
 
 
 # --- single flights ----------------------------------------------------------------------------------------------------
@@ -227,7 +235,7 @@ def fit_states(observations: WeightedPoses, groups: Sequence[NDArray[np.int64]])
 def _fitted(observations: WeightedPoses, ends: NDArray[np.int64]) -> tuple[Array, Array, Array]:
     """States (g, 14), covariances (g, 12, 12) and sums of squares (g,) of groups of frames that lie one after the other."""
     states, inverses, chi2 = np.empty((len(ends) - 1, 14)), np.empty((len(ends) - 1, 12, 12)), np.empty(len(ends) - 1)
-    kernels.fit_flights(*_arrays(observations)[:4], ends, states, inverses, chi2)
+    kernels.fit_flights(_arrays(observations), ends, states, inverses, chi2)
     return states, inverses, chi2
 
 
@@ -319,6 +327,7 @@ def _arrays(observations: WeightedPoses) -> PoseArrays:
         np.ascontiguousarray(observations.quaternion),
         np.ascontiguousarray(observations.whitener),
         np.ascontiguousarray(observations.bias_jacobian),
+        float(observations.gravity_m_s2),
     )
 
 

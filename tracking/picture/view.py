@@ -13,6 +13,7 @@ from numba import config as numba_config
 from numpy.typing import NDArray
 
 from ...model.die import Die, inner_vertices, symmetry_rotations
+from ...model.world import GRAVITY_M_S2
 from ..camera import Camera
 from ..placed_die import (
     LEAST_ROUNDED_PX,
@@ -121,6 +122,8 @@ class View:
     """Time from the exposure of the first row to that of the last; 0 for a global shutter."""
     saturation_grey: float = np.inf
     """Level from which a pixel is saturated."""
+    gravity_m_s2: float = GRAVITY_M_S2
+    """Of the place of the camera, along -z."""
     response_sigma: float = 0.0
     """Standard deviation of the exponent of the cameras' response, grey = light ** exponent, from that of the clip's levels; 0
     where it is known."""
@@ -250,6 +253,7 @@ def make_view(
     mirror: bool = False,
     quality: Quality = STANDARD,
     readout_s: float = 0.0,
+    gravity_m_s2: float = GRAVITY_M_S2,
 ) -> View:
     """Prepare the geometry that all frames share; the arguments are the fields of `View`, and `noise` is three of them.
 
@@ -262,7 +266,7 @@ def make_view(
     return View(
         cameras, stack_pictures(pictures), die, noise.noise_grey, exposure_s or 0.0, blur_px, quality,
         symmetry_rotations(die.solid), _shape_of(die), rig, unknown_light(len(rig.camera)),
-        noise.rounding_grey, noise.level_grey, readout_s,
+        noise.rounding_grey, noise.level_grey, readout_s, gravity_m_s2=gravity_m_s2,
     )  # fmt: skip
 
 

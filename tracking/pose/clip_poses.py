@@ -200,7 +200,7 @@ def as_track(view: View, source: FrameSource, poses: ClipPoses, use: Mask | None
     jacobian[known] = np.where(np.isfinite(kept), kept, by_pixels)
     return Track(
         frames, exposure_times_s(view, source, poses), position, continuous_sign(quaternion), covariance, status, jacobian,
-        response_sigma=view.response_sigma,
+        response_sigma=view.response_sigma, gravity_m_s2=view.gravity_m_s2,
     )  # fmt: skip
 
 

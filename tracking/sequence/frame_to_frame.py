@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from ...model.die import nearest_equivalent_rotation
 from ...model.rotations import angle_between, matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotation_between
 from ...model.throw import Flight, State
-from ...model.world import GRAVITY_M_S2
 from ..footage import FrameSource
 from ..picture import (
     PARAMETERS,
@@ -284,7 +283,7 @@ class FrameTracker:
             np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 6)), np.empty((n, PARAMETERS, PARAMETERS)),
             np.empty((n, STATISTICS)), np.empty(n),
         )  # fmt: skip
-        motion = MotionEstimate(self.motion, self.rotation, self.P, self.clock)
+        motion = MotionEstimate(self.motion, self.rotation, self.P, self.view.gravity_m_s2, self.clock)
         model = self.view.model(self.view.tracking_settings)
         done = track_frames(frames, times_s[rows], model, self._occluders, motion, surprise_chi2, found, self._work)
         poses.put_rows(rows[:done], PoseRows(*(values[:done] for values in found)))
@@ -295,7 +294,7 @@ class FrameTracker:
     def _pose_by_hypotheses(self, image: NDArray[np.float32], time_s: float) -> Pose | None:
         """The pose on one frame that the motion so far does not explain, or None if the die is lost or out of view."""
         frame_s, dt, self._candidates = time_s, time_s - float(self.clock[0]), []
-        late = predicted_delay(self.view.rig, self.motion, dt)
+        late = predicted_delay(self.view.rig, self.motion, dt, self.view.gravity_m_s2)
         time_s, dt = time_s + late, dt + late
         if self.clock[2] >= MIN_POSES_OF_FLIGHT:
             gyration2 = self.view.die.inertia_kg_m2 / self.view.die.mass_kg
@@ -303,7 +302,7 @@ class FrameTracker:
                 np.sqrt((self.motion[3:6] ** 2).sum() + gyration2 * (self.motion[6:9] ** 2).sum())
             )
         predicted, P = self.motion.copy(), self.P.copy()
-        R = predict_motion(predicted, self.rotation, P, dt)
+        R = predict_motion(predicted, self.rotation, P, dt, self.view.gravity_m_s2)
         expected = _state(time_s, predicted, R)
         if share_in_view(self.view, expected.position_m, R) == 0.0:
             self.misses += 1
@@ -452,14 +451,17 @@ class FrameTracker:
         time_s = expected.time_s
         last = _state(float(self.clock[0]), self.motion, self.rotation)
         for rates in self._rates_after_impact:
-            yield Flight(replace(last, velocity_m_s=rates[:3], omega_rad_s=rates[3:]), np.inf).at(time_s), 3
-        yield from ((state, 3) for state in beyond_impacts(self.view.die, last, time_s))
+            yield self._flight(replace(last, velocity_m_s=rates[:3], omega_rad_s=rates[3:])).at(time_s), 3
+        yield from ((state, 3) for state in beyond_impacts(self.view.die, last, time_s, self.view.gravity_m_s2))
         yield State(time_s, last.position_m, last.quaternion, last.velocity_m_s, last.omega_rad_s), 4
         yield expected, 4
-        half = Flight(last, np.inf).at(0.5 * (last.time_s + time_s)).position_m
+        half = self._flight(last).at(0.5 * (last.time_s + time_s)).position_m
         for axis in _AXES:
             q = quat_from_matrix(matrix_from_quat(quat_from_rotvec(TRIAL_TURN_RAD * axis)) @ last.rotation)
             yield State(time_s, half, q, np.zeros(3), np.zeros(3)), 4
+
+    def _flight(self, state: State) -> Flight:
+        return Flight(state, np.inf, gravity_m_s2=self.view.gravity_m_s2)
 
     def _is_doubtful(self, pose: Pose, expected: State, P: Array) -> bool:
         """Whether a pose explains its picture worse than those before, and no known motion supports it."""
@@ -551,7 +553,10 @@ class FrameTracker:
         """Whether the die can have come from the last pose to this one, as the camera sees it."""
         reach_m, fastest = self.view.reach_m, FASTEST_FACTOR_BACKWARDS if self.backwards else FASTEST_CENTRE_FACTOR
         moved_m = seen_distance_m(self.view.rig, pose.position_m, pose.position_m - last.position_m, reach_m)
-        return float(moved_m) < (fastest * self._fastest_m_s + GRAVITY_M_S2 * abs(dt)) * abs(dt) + SEEN_REACH * reach_m
+        return (
+            float(moved_m)
+            < (fastest * self._fastest_m_s + self.view.gravity_m_s2 * abs(dt)) * abs(dt) + SEEN_REACH * reach_m
+        )
 
     def _update(
         self, pose: Pose, start: State, predicted: Array, R: Array, P: Array, time_s: float, frame_s: float
@@ -570,7 +575,9 @@ class FrameTracker:
         known = MIN_POSES_OF_FLIGHT if leads_on else MIN_POSES_BEFORE_IMPACT
         if count >= known and (distance > far_reach * self.view.reach_m or angle > far_rad):
             last = _state(float(self.clock[0]), self.motion, self.rotation)
-            self._rates_after_impact = different_rates(beyond_impacts(self.view.die, last, time_s), frame_s)
+            self._rates_after_impact = different_rates(
+                beyond_impacts(self.view.die, last, time_s, self.view.gravity_m_s2), frame_s
+            )
             has_rates = np.any(start.velocity_m_s != 0.0)
             reach, rad = (BOUNCED_REACH, BOUNCED_RAD) if has_rates else (UNKNOWN_REACH, UNKNOWN_RAD)
             self.motion = np.concatenate([pose.position_m, start.velocity_m_s, start.omega_rad_s])

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from ...model.die import Die
 from ...model.throw import Flight, State
-from ...model.world import GRAVITY_M_S2
 from ..picture import SUPPORT_COST, View, region_costs
 from ..pose import Pose, same_picture, seen_distance_m
 from .acceptance import BOUNCE_REACH, HEIGHT_SIGMAS
@@ -54,7 +53,7 @@ SINK_FACTOR = 1.5
 """Factor on a corner's descent over a frame interval, for the error of its velocity."""
 
 
-def beyond_impacts(die: Die, last: State, time_s: float) -> Iterator[State]:
+def beyond_impacts(die: Die, last: State, time_s: float, gravity_m_s2: float) -> Iterator[State]:
     """States of the die on the other side of an impact between the last frame and this one, which lies after it or, of a tracker
     that runs backwards, before it, likely ones first: smooth impacts with several restitutions, at several instants, on each
     corner that touches the table there."""
@@ -68,14 +67,16 @@ def beyond_impacts(die: Die, last: State, time_s: float) -> Iterator[State]:
         _, turn_rad = _stopping_impulse(die, last, i, dt)
         shares = max(TRIAL_SHARES, int(np.ceil((1.0 + likeliest) * turn_rad / (2.0 * TRIAL_SPACING_RAD))))
         for share in (np.arange(shares) + 0.5) / shares:
-            touch = Flight(last, np.inf).at(last.time_s + (1.0 - share) * dt)
+            touch = Flight(last, np.inf, gravity_m_s2=gravity_m_s2).at(last.time_s + (1.0 - share) * dt)
             if shares == TRIAL_SHARES or _touches(die, touch, i):
-                found += _beyond_impact(die, touch, i, dt, share)
+                found += _beyond_impact(die, touch, i, dt, share, gravity_m_s2)
     for _, state in sorted(found, key=lambda trial: abs(np.log(trial[0] / likeliest))):
         yield state
 
 
-def _beyond_impact(die: Die, touch: State, corner: int, dt: float, share: float) -> Iterator[tuple[float, State]]:
+def _beyond_impact(
+    die: Die, touch: State, corner: int, dt: float, share: float, gravity_m_s2: float
+) -> Iterator[tuple[float, State]]:
     """States at the end of a share of the interval that begins with an impact of one corner, with the ratio of its normal
     velocities."""
     impulse, turn_rad = _stopping_impulse(die, touch, corner, dt)
@@ -88,7 +89,7 @@ def _beyond_impact(die: Die, touch: State, corner: int, dt: float, share: float)
         velocity = touch.velocity_m_s + np.array([0.0, 0.0, (1.0 + ratio) * impulse / die.mass_kg])
         omega = touch.omega_rad_s + (1.0 + ratio) * impulse * lever / die.inertia_kg_m2
         after = replace(touch, velocity_m_s=velocity, omega_rad_s=omega)
-        yield float(ratio), Flight(after, np.inf).at(touch.time_s + share * dt)
+        yield float(ratio), Flight(after, np.inf, gravity_m_s2=gravity_m_s2).at(touch.time_s + share * dt)
 
 
 def _stopping_impulse(die: Die, state: State, corner: int, dt: float) -> tuple[float, float]:
@@ -189,7 +190,7 @@ def _motion_through(
     position_m = np.array([pose.position_m for pose in poses])
     time_s = times_s + view.exposure_delay_s(position_m)
     passed_s = time_s - time_s[-1]
-    without_fall = position_m + 0.5 * GRAVITY_M_S2 * passed_s[:, None] ** 2 * np.array([0.0, 0.0, 1.0])
+    without_fall = position_m + 0.5 * view.gravity_m_s2 * passed_s[:, None] ** 2 * np.array([0.0, 0.0, 1.0])
     H, g = np.zeros((6, 6)), np.zeros(6)
     H[3:, 3:] = np.eye(3) / fastest_m_s**2
     for pose, dt, place in zip(poses, passed_s, without_fall, strict=True):

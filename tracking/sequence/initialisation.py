@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.rotations import quat_from_matrix, rotation_between
-from ...model.world import GRAVITY_M_S2
 from ..flights import WeightedPoses, fit_flight
 from ..footage import FrameSource
 from ..picture import View
@@ -517,7 +516,8 @@ def log_scatter(view: View, poses: ClipPoses, times_s: Array, rows: Rows) -> flo
         return 0.0
     position_m, quaternion = poses.position_m[rows], quat_from_matrix(poses.rotation[rows])
     exposed_s = times_s[rows] + view.exposure_delay_s(position_m)
-    _, _, chi2 = fit_flight(WeightedPoses.from_poses(exposed_s, position_m, quaternion, covariance))
+    seen = WeightedPoses.from_poses(exposed_s, position_m, quaternion, covariance, gravity_m_s2=view.gravity_m_s2)
+    _, _, chi2 = fit_flight(seen)
     return 0.5 * float(np.log(max(chi2 / (6 * len(rows) - 12), 1.0)))
 
 
@@ -530,7 +530,7 @@ def _unevenness(view: View, poses: ClipPoses, times_s: Array, since: int, until:
     middle = int(known[len(known) // 2])
     times_s = times_s[: len(poses.known)] + view.exposure_delay_s(poses.position_m)
     t = times_s[known] - times_s[middle]
-    without_fall = poses.position_m[known] + np.outer(0.5 * GRAVITY_M_S2 * t * t, [0.0, 0.0, 1.0])
+    without_fall = poses.position_m[known] + np.outer(0.5 * view.gravity_m_s2 * t * t, [0.0, 0.0, 1.0])
     turns = rotation_between(quat_from_matrix(poses.rotation[middle]), quat_from_matrix(poses.rotation[known]))
     sigma_m, sigma_rad = _standard_errors(view, poses, known)
     off_m, p = _off_line(t, without_fall), poses.position_m[known]

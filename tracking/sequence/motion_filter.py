@@ -20,7 +20,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...model.compiled import compiled, inner_nogil
-from ...model.world import GRAVITY_M_S2
 from ..picture import (
     BACKGROUND_SHARE,
     CLEAR_PX,
@@ -108,12 +107,14 @@ class MotionEstimate(NamedTuple):
     """(3, 3) body to world."""
     P: Any
     """(12, 12) covariance of position, rotation, velocity, angular velocity."""
+    gravity: float
+    """[m/s²] along -z."""
     clock: Any
     """(3,) the time [s] of the estimate, the usual cost of a pose, and the number of poses of this flight."""
 
 
 @compiled(nogil=True)
-def predict_motion(x: Any, R: Any, P: Any, dt: float) -> Any:
+def predict_motion(x: Any, R: Any, P: Any, dt: float, gravity: float) -> Any:
     """Move a motion (9,) and its covariance (12, 12) in place by dt [s], which may be negative; return the rotation.
 
     δp' = δp + dt δv, δθ' = E δθ + dt (1 + W/2) δω with E = exp(ω dt) and W the cross matrix of ω dt: the left Jacobian
@@ -123,8 +124,8 @@ def predict_motion(x: Any, R: Any, P: Any, dt: float) -> Any:
     for a in range(3):
         w[a] = x[6 + a] * dt
         x[a] += x[3 + a] * dt
-    x[2] -= 0.5 * GRAVITY_M_S2 * dt * dt
-    x[5] -= GRAVITY_M_S2 * dt
+    x[2] -= 0.5 * gravity * dt * dt
+    x[5] -= gravity * dt
     E = rotation_exp(w)
     M = np.eye(12)
     for a in range(3):
@@ -158,7 +159,7 @@ def predict_motion(x: Any, R: Any, P: Any, dt: float) -> Any:
 
 
 @compiled(nogil=True)
-def predicted_delay(rig: CameraRig, x: Any, dt: float) -> float:
+def predicted_delay(rig: CameraRig, x: Any, dt: float, gravity: float) -> float:
     """`exposure_delay` of a die whose motion (9,) leads for dt [s] to the time of a frame, and on until its row is
     exposed."""
     late = 0.0
@@ -168,7 +169,7 @@ def predicted_delay(rig: CameraRig, x: Any, dt: float) -> float:
             t = dt + late
             for a in range(3):
                 p[a] = x[a] + x[3 + a] * t
-            p[2] -= 0.5 * GRAVITY_M_S2 * t * t
+            p[2] -= 0.5 * gravity * t * t
             late = exposure_delay(rig, p)
     return late
 
@@ -280,8 +281,8 @@ def track_frames(
     reach, moved = reach_of_die(shape), np.zeros(3)
     for k in range(frames.shape[0]):
         ahead, P_ahead = x.copy(), P.copy()
-        late = predicted_delay(rig, x, times[k] - clock[0])
-        R_ahead = predict_motion(ahead, R, P_ahead, times[k] - clock[0] + late)
+        late = predicted_delay(rig, x, times[k] - clock[0], motion.gravity)
+        R_ahead = predict_motion(ahead, R, P_ahead, times[k] - clock[0] + late, motion.gravity)
         # Variances that are moved back to an instant where they were known cancel, and rounding may make them negative.
         sigma_m = sqrt(max(P_ahead[0, 0], P_ahead[1, 1], P_ahead[2, 2], 0.0))
         sigma_rad = sqrt(max(P_ahead[3, 3], P_ahead[4, 4], P_ahead[5, 5], 0.0))

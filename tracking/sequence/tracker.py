@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from ...model.die import Die
 from ...model.rotations import continuous_sign, matrix_from_quat, quat_from_matrix
 from ...model.throw import Throw
+from ...model.world import GRAVITY_M_S2
 from ..camera import Camera
 from ..clip_parameters import (
     BLUR_FRAMES,
@@ -87,6 +88,8 @@ class ClipFacts:
     """Grey values per level of the file: above 1 for a clip mapped to light."""
     readout_s: float = 0.0
     """Time from the exposure of the first row to that of the last, of every camera; 0 for a global shutter."""
+    gravity_m_s2: float = GRAVITY_M_S2
+    """Of the place, along -z."""
     estimates_response: bool = False
     """Whether the response of the cameras is not known, and is estimated."""
     response_sigma: float = 0.0
@@ -218,7 +221,7 @@ def _view_of(
     )
     view = make_view(
         cameras, die, pictures, noise, facts.exposure_s, INITIAL_BLUR_PX, mirror=facts.mirror, quality=quality,
-        readout_s=facts.readout_s,
+        readout_s=facts.readout_s, gravity_m_s2=facts.gravity_m_s2,
     )  # fmt: skip
     saturation_grey = float(2 ** min(clip.bit_depth for clip in clips) - 1)
     return replace(view, response_sigma=facts.response_sigma, saturation_grey=saturation_grey)

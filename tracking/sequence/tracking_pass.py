@@ -325,7 +325,8 @@ def _stays_in_view(view: View, source: FrameSource, poses: ClipPoses, k: int, st
     """Whether the die on row k is still wholly in view `step` rows later, by its motion on row k."""
     here, then = source.times_s[[k, k + step]].tolist()
     rotation, (velocity_m_s, omega_rad_s) = quat_from_matrix(poses.rotation[k]), np.split(poses.motion[k], 2)
-    ahead = Flight(State(here, poses.position_m[k], rotation, velocity_m_s, omega_rad_s), np.inf).at(then)
+    state = State(here, poses.position_m[k], rotation, velocity_m_s, omega_rad_s)
+    ahead = Flight(state, np.inf, gravity_m_s2=view.gravity_m_s2).at(then)
     return share_in_view(view, ahead.position_m, ahead.rotation) == 1.0
 
 

@@ -222,7 +222,7 @@ class _Sequence:
 
     def _impacts(self) -> Iterator[tuple[State, Link]]:
         """Impacts that may end the last flight: the state behind each, and the link."""
-        search, flight = self.search, Flight(self.starts[-1], np.inf)
+        search, flight = self.search, self.search.observations.flight(self.starts[-1])
         for instant in self._instants(flight):
             state = flight.at(instant)
             for impact in low_impacts(search.impacts, state.rotation):
@@ -282,7 +282,7 @@ class _Sequence:
         for count in TRIAL_FRAMES:
             rows = np.arange(self.end, min(self.end + count, len(observations)))
             if len(rows) >= MIN_FRAMES:
-                state = Flight(fit_flight(observations.rows(rows))[0], np.inf).at(before.time_s)
+                state = observations.flight(fit_flight(observations.rows(rows))[0]).at(before.time_s)
                 yield replace(before, velocity_m_s=state.velocity_m_s, omega_rad_s=state.omega_rad_s)
 
 

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from ...model.die import Die, inner_vertices
 from ...model.rotations import angle_between
 from ...model.throw import Flight, State
-from ...model.world import GRAVITY_M_S2
 from ..covariance import scaled_inverse
 from ..flights import (
     JOINT,
@@ -170,10 +169,8 @@ def join_flights(observations: WeightedPoses, parts: list[NDArray[np.int64]], di
 def _are_far_apart(observations: WeightedPoses, a: _Part, b: _Part, die: Die) -> bool:
     """Whether two flights, each fitted alone, come nowhere near each other: several contacts lie between them, or the track was
     lost and resumed with another labelling. Joining them would spoil both."""
-    before, after = Flight(a.state, np.inf), Flight(b.state, np.inf)
-    t = _nearest_approach(
-        a.state, b.state, float(observations.time_s[a.rows[-1]]), float(observations.time_s[b.rows[0]])
-    )
+    before, after = observations.flight(a.state), observations.flight(b.state)
+    t = _nearest_approach(before, after, float(observations.time_s[a.rows[-1]]), float(observations.time_s[b.rows[0]]))
     p, q = before.at(t), after.at(t)
     angle = float(angle_between(p.quaternion, q.quaternion))
     distance = float(np.linalg.norm(p.position_m - q.position_m))
@@ -222,7 +219,7 @@ def _can_rebound(chain: FlightChain, k: int, impact: VertexImpact) -> bool:
     t = float(chain.link_times_s[k])
     a, b = chain.flights[k].at(t), chain.flights[k + 1].at(t)
     arm = impact.arm(a.rotation)
-    rows = normal_velocity_jacobian(a, b, arm)
+    rows = normal_velocity_jacobian(a, b, arm, chain.flights[k].gravity_m_s2)
     sigma = np.sqrt(np.maximum(np.diag(rows @ chain.joint_covariance[k] @ rows.T), 0.0))
     return normal_velocity(a, arm) < REBOUND_SIGMAS * sigma[0] and normal_velocity(b, arm) > -REBOUND_SIGMAS * sigma[1]
 
@@ -246,17 +243,17 @@ def _fit_parts(
             t = 0.5 * float(observations.time_s[before.inliers[-1]] + observations.time_s[after.inliers[0]])
         else:
             low, high = float(observations.time_s[before.rows[-1]]), float(observations.time_s[after.rows[0]])
-            t = _nearest_approach(before.state, after.state, low, high)
+            t = _nearest_approach(observations.flight(before.state), observations.flight(after.state), low, high)
         links.append(Link(t, is_open))
     return fit_chain(observations if fitted is None else fitted, [part.state for part in parts], links)
 
 
-def _nearest_approach(before: State, after: State, low_s: float, high_s: float) -> float:
+def _nearest_approach(before: Flight, after: Flight, low_s: float, high_s: float) -> float:
     """The instant near [low, high] at which two motions come closest, angles counting as TURN_LENGTH_M a radian."""
     duration = max(high_s - low_s, 1e-9)
     times = np.linspace(low_s - 1.0 * duration, high_s + 1.0 * duration, 121)
-    pa, qa = Flight(before, np.inf).poses(times)
-    pb, qb = Flight(after, np.inf).poses(times)
+    pa, qa = before.poses(times)
+    pb, qb = after.poses(times)
     distance = np.linalg.norm(pa - pb, axis=1) + TURN_LENGTH_M * angle_between(qa, qb)
     return float(times[int(np.argmin(distance))])
 
@@ -384,7 +381,7 @@ def _with_links_at_first_touch(
         times = np.linspace(
             float(observations.time_s[before[-1]]), float(observations.time_s[behind[0]]), TOUCH_SAMPLES
         )
-        p, q = Flight(chain.flights[k].start, np.inf).poses(times)
+        p, q = chain.flights[k].poses(times)
         below = np.flatnonzero(lowest_heights_m(die, p, q) < chain.table_m)
         if len(below):
             links[k] = replace(link, time_s=float(times[below[0]]))
@@ -566,7 +563,7 @@ def normal_velocity(state: State, arm: Array) -> float:
     return float(state.velocity_m_s[2] + np.cross(state.omega_rad_s, arm)[2])
 
 
-def normal_velocity_jacobian(before: State, after: State, arm: Array) -> Array:
+def normal_velocity_jacobian(before: State, after: State, arm: Array, gravity_m_s2: float) -> Array:
     """Derivatives (2, 25) of the normal velocity of a point of the die before and after an impact with respect to the states on
     both sides and the instant, in the order of `FlightChain.joint_covariance`."""
     rows = np.zeros((2, JOINT))
@@ -577,5 +574,5 @@ def normal_velocity_jacobian(before: State, after: State, arm: Array) -> Array:
         row[first + 8] = 1.0
         row[first + 9 : first + 12] = np.cross(arm, [0.0, 0.0, 1.0])
         # The corner of a spinning die accelerates within the uncertainty of the instant: 500 m/s² is usual.
-        row[24] = float(np.cross(w, np.cross(w, arm))[2]) - GRAVITY_M_S2
+        row[24] = float(np.cross(w, np.cross(w, arm))[2]) - gravity_m_s2
     return rows

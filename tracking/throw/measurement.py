@@ -325,8 +325,9 @@ def weighted_poses(track: Track, use: NDArray[np.int64], unmodelled: float = 1.0
     rounded dice. `unmodelled` is that of `WeightedPoses.from_poses`."""
     own = track.covariance if track.pixel_covariance is None else track.pixel_covariance
     return WeightedPoses.from_poses(
-        track.time_s[use], track.position_m[use], track.quaternion[use], own[use], unmodelled=unmodelled
-    )
+        track.time_s[use], track.position_m[use], track.quaternion[use], own[use], unmodelled=unmodelled,
+        gravity_m_s2=track.gravity_m_s2,
+    )  # fmt: skip
 
 
 def with_calibrated_covariance(track: Track, die: Die, camera: Camera | None = None, *, every: int = 1) -> Track:
@@ -434,19 +435,21 @@ def _with_supported_motion(
     """Flights and impacts with the end during which the table supports the die, from midway between the last frame in flight and
     the next."""
     begin, end = 0.5 * (last_s + float(observations.time_s[0])), float(observations.time_s[-1])
+    gravity_m_s2 = observations.gravity_m_s2
     supported = SupportedMotion(
         start=State(begin, observations.position_m[0], observations.quaternion[0], np.zeros(3), np.zeros(3)),
         end_s=end,
         times_s=observations.time_s,
         positions_m=observations.position_m,
         quaternions=observations.quaternion,
+        gravity_m_s2=gravity_m_s2,
     )
     count = sum(impact.time_s < begin for impact in impacts)
     flights, impacts = flights[: count + 1], impacts[:count]
     before, after = flights[-1].at(begin), supported.at(begin)
     held = Impact(
         begin, "held", resting_vertices(die, supported.at(end).rotation), before.position_m[:2], np.full(3, np.nan),
-        np.nan, np.nan, energy_J(die, before), energy_J(die, after),
+        np.nan, np.nan, energy_J(die, before, gravity_m_s2), energy_J(die, after, gravity_m_s2),
         lowest_face(die.solid, before.rotation), lowest_face(die.solid, supported.at(end).rotation),
     )  # fmt: skip
     return (*flights[:-1], replace(flights[-1], end_s=begin), supported), (*impacts, held)
@@ -486,7 +489,8 @@ def _impact(chain: FlightChain, die: Die, k: int, limit_s: float, *, believed: b
     chi, low, high = np.nan, np.nan, np.nan
     if is_resolved:
         chi = -v_after / v_before
-        low, high = _restitution_interval(chain.joint_covariance[k], a, b, arm)
+        rows = normal_velocity_jacobian(a, b, arm, before.gravity_m_s2)
+        low, high = _restitution_interval(rows @ chain.joint_covariance[k] @ rows.T, v_before, v_after)
     middle_before = before.at(0.5 * (before.start.time_s + before.end_s))
     middle_after = after.at(0.5 * (after.start.time_s + after.end_s))
     return Impact(
@@ -497,8 +501,8 @@ def _impact(chain: FlightChain, die: Die, k: int, limit_s: float, *, believed: b
         die.mass_kg * (b.velocity_m_s - a.velocity_m_s),
         v_before,
         v_after,
-        energy_J(die, a),
-        energy_J(die, b),
+        energy_J(die, a, before.gravity_m_s2),
+        energy_J(die, b, after.gravity_m_s2),
         lowest_face(die.solid, middle_before.rotation),
         lowest_face(die.solid, middle_after.rotation),
         sigma_time_s=float(chain.sigma_time_s[k]),
@@ -519,12 +523,9 @@ def _contact(link: Link, die: Die, state: State) -> tuple[tuple[int, ...], Array
     return touching, np.asarray(arms.mean(0) - np.array([0.0, 0.0, die.corner_radius_m]))
 
 
-def _restitution_interval(joint_covariance: Array, before: State, after: State, arm: Array) -> tuple[float, float]:
-    """95 % interval of the apparent restitution, by drawing both normal velocities from their joint covariance: that of the
-    states on both sides and of the instant (25, 25)."""
-    rows = normal_velocity_jacobian(before, after, arm)
-    root = covariance_root(rows @ joint_covariance @ rows.T)
-    draws = np.random.default_rng(SEED).standard_normal((DRAWS, 2)) @ root.T
-    v_before, v_after = (np.array([normal_velocity(state, arm) for state in (before, after)]) + draws).T
-    low, high = np.percentile(-v_after / v_before, INTERVAL_PERCENT)
+def _restitution_interval(covariance: Array, v_before: float, v_after: float) -> tuple[float, float]:
+    """95 % interval of the apparent restitution, by drawing both normal velocities from their covariance (2, 2)."""
+    draws = np.random.default_rng(SEED).standard_normal((DRAWS, 2)) @ covariance_root(covariance).T
+    before, after = (np.array([v_before, v_after]) + draws).T
+    low, high = np.percentile(-after / before, INTERVAL_PERCENT)
     return float(low), float(high)

@@ -24,7 +24,6 @@ from scipy.ndimage import median_filter
 from ...model.die import Die, inner_vertices
 from ...model.rotations import continuous_sign, matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
 from ...model.throw import Flight, State, Throw
-from ...model.world import GRAVITY_M_S2
 from ..flights import WeightedPoses
 from ..track import LOST, Track
 from .flight_segmentation import TABLE_REACH
@@ -155,7 +154,7 @@ def _first_level_row(observations: WeightedPoses, deviation: Array, die: Die) ->
     sigma = np.sqrt(np.linalg.inv(information)[:, 2, 2])
     allowed = LEVEL_SHARE * die.solid.edge_m + LEVEL_SIGMAS * sigma / np.sqrt(MEDIAN_EFFICIENCY * MEDIAN_FRAMES)
     first = _first_of_last_rows(deviation <= allowed)
-    hop_s = 2.0 * np.sqrt(2.0 * float(np.median(allowed[first:])) / GRAVITY_M_S2) if first < n else 0.0
+    hop_s = 2.0 * np.sqrt(2.0 * float(np.median(allowed[first:])) / observations.gravity_m_s2) if first < n else 0.0
     duration_s = observations.time_s[-1] - observations.time_s[first] if first < n else 0.0
     if first == n or duration_s < HOP_DURATIONS * hop_s or not _is_supported(observations, slice(first, n)):
         return n
@@ -229,20 +228,20 @@ def _accelerations(observations: WeightedPoses, window: int, die: Die) -> tuple[
     found = np.einsum("wpq,wiq,wi->wp", inverse, A, y)
     variance = ((y - np.einsum("wip,wp->wi", A, found)) ** 2).sum(1) / (A.shape[1] - 16)
     C = inverse[:, 12:, 12:] * variance[:, None, None]
-    excess = found[:, 12:] - np.array([GRAVITY_M_S2, 0.0, 0.0, 0.0])
+    excess = found[:, 12:] - np.array([observations.gravity_m_s2, 0.0, 0.0, 0.0])
     chi2 = np.einsum("wi,wi->w", excess, np.linalg.solve(C, excess[..., None])[..., 0])
-    return begins, chi2, _least_support_chi2(C, die)
+    return begins, chi2, _least_support_chi2(C, die, observations.gravity_m_s2)
 
 
-def _least_support_chi2(C: Array, die: Die) -> Array:
+def _least_support_chi2(C: Array, die: Die, gravity_m_s2: float) -> Array:
     """(w,) least squared sigmas by which a supporting contact changes fall and angular acceleration, whose covariances are C (w,
     4, 4)."""
     longest = float(np.sqrt(die.solid.circumradius**2 - die.solid.inradius**2))
     lever = np.linspace(0.0, longest, LEVER_SAMPLES)
     share = die.inertia_kg_m2 / (die.inertia_kg_m2 + die.mass_kg * lever**2)
-    angular = share * die.mass_kg * GRAVITY_M_S2 * lever / die.inertia_kg_m2
+    angular = share * die.mass_kg * gravity_m_s2 * lever / die.inertia_kg_m2
     largest_variance = np.linalg.eigvalsh(C[:, 1:, 1:])[:, -1:]
-    return np.asarray(((share * GRAVITY_M_S2) ** 2 / C[:, :1, 0] + angular**2 / largest_variance).min(1))
+    return np.asarray(((share * gravity_m_s2) ** 2 / C[:, :1, 0] + angular**2 / largest_variance).min(1))
 
 
 def _is_supported(observations: WeightedPoses, rows: slice) -> bool:
@@ -253,7 +252,8 @@ def _is_supported(observations: WeightedPoses, rows: slice) -> bool:
     inverse = np.linalg.inv(basis.T @ basis)
     variance = float(((z - basis @ values) ** 2).sum()) / max(len(t) - 3, 1)
     sigma = float(np.sqrt(variance * inverse[2, 2]))
-    return bool(values[2] > -SUPPORTED_SHARE * GRAVITY_M_S2 and values[2] + GRAVITY_M_S2 > FALL_SIGMAS * sigma)
+    gravity_m_s2 = observations.gravity_m_s2
+    return bool(values[2] > -SUPPORTED_SHARE * gravity_m_s2 and values[2] + gravity_m_s2 > FALL_SIGMAS * sigma)
 
 
 # --- frames on the table -----------------------------------------------------------------------------------------------

@@ -42,7 +42,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
-from ...model.world import GRAVITY_M_S2
 from ..flights import WeightedPoses, fit_states, left_jacobians
 
 Array = NDArray[np.float64]
@@ -351,6 +350,7 @@ class _Gaps:
     """(k,) sum of squares of both windows about their own motions."""
     numbers: float
     """Measured numbers of both windows."""
+    gravity_m_s2: float
 
     @staticmethod
     def at(observations: WeightedPoses, rows: Rows, window: int) -> _Gaps:
@@ -361,14 +361,14 @@ class _Gaps:
         k = len(rows)
         return _Gaps(
             observations.time_s[rows - 1], observations.time_s[rows], states[:k], covariances[:k], states[k:],
-            covariances[k:], chi2[:k] + chi2[k:], 12.0 * window,
+            covariances[k:], chi2[:k] + chi2[k:], 12.0 * window, observations.gravity_m_s2,
         )  # fmt: skip
 
     def some(self, which: Rows) -> _Gaps:
         """Some of the gaps."""
         return _Gaps(
             self.from_s[which], self.to_s[which], self.states_before[which], self.covariances_before[which],
-            self.states_behind[which], self.covariances_behind[which], self.residual_chi2[which], self.numbers,
+            self.states_behind[which], self.covariances_behind[which], self.residual_chi2[which], self.numbers, self.gravity_m_s2,
         )  # fmt: skip
 
     def likelihood(self, chi2: Array, parameters: int) -> Array:
@@ -400,11 +400,19 @@ class _Gaps:
         """How far the motion behind is off the motion before if it is later by `late_s` (k, 12), the covariance of that
         (k, 12, 12), and the change of the motion before with time (k, 12)."""
         late = np.broadcast_to(np.asarray(late_s, float), self.to_s.shape)
-        before, C_before = _moved(self.states_before, self.covariances_before, self.to_s + late)
-        behind, C_behind = _moved(self.states_behind, self.covariances_behind, self.to_s)
+        before, C_before = self._before(self.to_s + late)
+        behind, C_behind = self._behind(self.to_s)
         rate = np.zeros((len(late), 12))
-        rate[:, :3], rate[:, 3:6], rate[:, 8] = before[:, 8:11], before[:, 11:14], -GRAVITY_M_S2
+        rate[:, :3], rate[:, 3:6], rate[:, 8] = before[:, 8:11], before[:, 11:14], -self.gravity_m_s2
         return _difference(behind, before), C_before + C_behind, rate
+
+    def _before(self, times_s: Array) -> tuple[Array, Array]:
+        """The motions before the gaps at times (k,), with their covariances."""
+        return _moved(self.states_before, self.covariances_before, times_s, self.gravity_m_s2)
+
+    def _behind(self, times_s: Array) -> tuple[Array, Array]:
+        """The motions behind them."""
+        return _moved(self.states_behind, self.covariances_behind, times_s, self.gravity_m_s2)
 
     def impact_chi2(self, late_s: Array | float) -> Array:
         """χ² (k,) for an impact in the gap, at the instant that makes it least, and frames behind that are later than
@@ -413,8 +421,8 @@ class _Gaps:
         least = np.full(len(self.to_s), np.inf)
         for share in np.linspace(0.0, 1.0, INSTANTS):
             instant = self.from_s + share * (self.to_s + late_s - self.from_s)
-            before, C_before = _moved(self.states_before, self.covariances_before, instant)
-            behind, C_behind = _moved(self.states_behind, self.covariances_behind, instant - late_s)
+            before, C_before = self._before(instant)
+            behind, C_behind = self._behind(instant - late_s)
             difference = _difference(behind, before)[:, :6]
             least = np.minimum(least, _squares(difference, (C_before + C_behind)[:, :6, :6]))
         return least
@@ -430,16 +438,16 @@ def _squares(vectors: Array, covariances: Array) -> Array:
     return np.asarray((vectors * np.linalg.solve(covariances, vectors[:, :, None])[:, :, 0]).sum(1))
 
 
-def _moved(states: Array, covariances: Array, times_s: Array) -> tuple[Array, Array]:
+def _moved(states: Array, covariances: Array, times_s: Array, gravity_m_s2: float) -> tuple[Array, Array]:
     """Packed states (k, 14) and their covariances (k, 12, 12) in free flight at other times (k,)."""
     tau = (times_s - states[:, 0])[:, None]
     turn = tau * states[:, 11:14]
     out = states.copy()
     out[:, 0] = times_s
     out[:, 1:4] += tau * states[:, 8:11]
-    out[:, 3] -= 0.5 * GRAVITY_M_S2 * tau[:, 0] ** 2
+    out[:, 3] -= 0.5 * gravity_m_s2 * tau[:, 0] ** 2
     out[:, 4:8] = quat_multiply(quat_from_rotvec(turn), states[:, 4:8])
-    out[:, 10] -= GRAVITY_M_S2 * tau[:, 0]
+    out[:, 10] -= gravity_m_s2 * tau[:, 0]
     T = np.tile(np.eye(12), (len(states), 1, 1))
     T[:, 0:3, 6:9] = tau[:, :, None] * np.eye(3)
     T[:, 3:6, 3:6] = matrix_from_quat(quat_from_rotvec(turn))

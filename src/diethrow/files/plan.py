@@ -19,8 +19,9 @@ from ..model.laws import CoulombImpact, SmoothImpact
 from ..model.laws import Table as ModelTable
 from ..model.rotations import matrix_from_quat, quat_from_euler
 from ..model.throw import State, checked_release
-from .scene import ESTIMATE, DieTable, NotNegative, Positive, PositiveInt, Table, TableTable, die_from, table_from
-from .settings import TomlTable, Vector3, Vector4, read_toml, refuse, validate
+from ..model.world import GRAVITY_M_S2
+from .die_and_table import ESTIMATE, DieTable, Table, TableTable, WorldTable, die_from, table_from
+from .settings import NotNegative, Positive, PositiveInt, TomlTable, Vector3, Vector4, read_toml, refuse, validate
 
 Array = NDArray[np.float64]
 
@@ -67,7 +68,7 @@ def read_plan(path: Path) -> Plan:
     path = Path(path)
     data, text = read_toml(path)
     checked = validate(_PlanFile, data, path)
-    table = table_from(checked.table) if checked.table else Table("")
+    table = table_from(checked.table or TableTable(surface="", motion=None), checked.world)
     if checked.die.corner_radius_m == ESTIMATE:
         raise refuse(
             path,
@@ -142,6 +143,7 @@ class _PlanFile(TomlTable):
     until: _UntilTable = Field(
         _UntilTable(time_s=None, impacts=None), description="an [until] table with time_s or impacts"
     )
+    world: WorldTable = Field(WorldTable(gravity_m_s2=GRAVITY_M_S2), description="a [world] table with gravity_m_s2")
     output: _OutputTable = Field(_OutputTable(fps=1500.0), description="an [output] table with fps")
 
 

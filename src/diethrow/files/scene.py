@@ -6,7 +6,6 @@ cameras are required by the commands that need them (`Scene.views`): a fit to so
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -15,30 +14,37 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from ..model.die import MAX_CORNER_RADIUS_FRACTION, SHAPES, Die, make_die
-from ..model.laws import Table as ModelTable
+from ..model.die import Die
+from ..model.world import GRAVITY_M_S2
 from ..tracking.camera import Camera
 from ..tracking.clip_parameters import CornerRounding
 from ..tracking.footage import EXPONENTS, MAX_PIXELS, NAMED_RESPONSES, Response
 from ..tracking.pose import FEWEST_CLICKS, Click, ManualInitialisation
-from .settings import Matrix3, SceneError, TomlTable, Vector2i, Vector3, Vector4, Vector5, read_toml, refuse, validate
+from .die_and_table import ESTIMATE, DieTable, Table, TableTable, WorldTable, die_from, table_from
+from .settings import (
+    Matrix3,
+    NotNegative,
+    NotNegativeInt,
+    Positive,
+    PositiveInt,
+    SceneError,
+    TomlTable,
+    Vector2i,
+    Vector3,
+    Vector4,
+    Vector5,
+    read_toml,
+    refuse,
+    unit_guess,
+    validate,
+)
 
-__all__ = ["ClipSource", "Motion", "Scene", "SceneError", "Table", "View", "read_scene"]
+__all__ = ["ClipSource", "Scene", "SceneError", "View", "read_scene"]
 
 Array = NDArray[np.float64]
 
-MAX_EDGE_M = 1.0
-"""Edge of a die; a longer one is in another unit."""
-MIN_DENSITY_KG_M3 = 5.0
-"""Of a die of foam; with a lower one a length or a mass is in another unit."""
-MAX_DENSITY_KG_M3 = 25000.0
-"""Above osmium; with a higher one a length or a mass is in another unit."""
-MIN_INERTIA_SHARE = 1e-3
-"""Of the moment of inertia with all the mass at the corners; a smaller one is in another unit."""
 MAX_DISTANCE_M = 100.0
 """From the world's origin to a camera; beyond it the translation is in another unit."""
-ESTIMATE = "estimate"
-"""Instead of a number: it is estimated from the pictures."""
 ROTATION_TOLERANCE = 1e-4
 """Matrices and quaternions written with four decimals pass, and are replaced by the nearest rotation."""
 EXACT_ROTATION = 1e-12
@@ -74,35 +80,6 @@ class View:
     camera: Camera
     path: Path | None
     background_path: Path | None
-
-
-@dataclass(frozen=True)
-class Motion:
-    """An oscillating table: z = amplitude sin(2π frequency t + phase)."""
-
-    amplitude_m: float
-    frequency_hz: float
-    phase_rad: float
-
-
-@dataclass(frozen=True)
-class Table:
-    """The table that the die falls on."""
-
-    surface: str
-    """Free text; `mirror` says that the table reflects."""
-    motion: Motion | None = None
-
-    @property
-    def in_model(self) -> ModelTable:
-        """The table as a value of the model."""
-        if self.motion is None:
-            return ModelTable()
-        return ModelTable(
-            amplitude_m=self.motion.amplitude_m,
-            frequency_hz=self.motion.frequency_hz,
-            phase_rad=self.motion.phase_rad,
-        )
 
 
 @dataclass(frozen=True)
@@ -172,7 +149,7 @@ def read_scene(path: Path, *, allow_outside: bool = False) -> Scene:
     )
     die = die_from(checked.die, path)
     start = _start(checked.start, clip, views, die, path) if checked.start is not None else None
-    return Scene(path, text, clip, views, die, table_from(checked.table), start, _rounding(checked.die))
+    return Scene(path, text, clip, views, die, table_from(checked.table, checked.world), start, _rounding(checked.die))
 
 
 # --- the file, as TOML tables ---
@@ -180,43 +157,11 @@ def read_scene(path: Path, *, allow_outside: bool = False) -> Scene:
 PATH_WANTED = "the path of the footage, relative to the scene file"
 
 
-def _positive(value: float) -> float:
-    if not value > 0:
-        raise ValueError("not above 0")
-    return value
-
-
-def _not_negative(value: float) -> float:
-    if value < 0:
-        raise ValueError("below 0")
-    return value
-
-
-def _known_shape(value: str) -> str:
-    if value not in SHAPES:
-        raise ValueError("unknown shape")
-    return value
-
-
-def _radius_or_estimate(value: float | str) -> float | str:
-    if isinstance(value, str):
-        if value != ESTIMATE:
-            raise ValueError("no such word")
-        return value
-    return _not_negative(value)
-
-
 def _known_response(value: float | str) -> float | str:
     if isinstance(value, str) and value not in NAMED_RESPONSES:
         raise ValueError("no such word")
     if not isinstance(value, str) and not EXPONENTS[0] <= value <= EXPONENTS[1]:
         raise ValueError("out of range")
-    return value
-
-
-def _known_marks(value: str) -> str:
-    if value not in ("pips", "numbers"):
-        raise ValueError("unknown marks")
     return value
 
 
@@ -244,12 +189,7 @@ def _not_empty(value: str) -> str:
     return value
 
 
-Positive = Annotated[float, AfterValidator(_positive)]
-NotNegative = Annotated[float, AfterValidator(_not_negative)]
-Radius = Annotated[float | str, AfterValidator(_radius_or_estimate)]
 ResponseOrName = Annotated[float | str, AfterValidator(_known_response)]
-PositiveInt = Annotated[int, AfterValidator(_positive)]
-NotNegativeInt = Annotated[int, AfterValidator(_not_negative)]
 UnitQuaternion = Annotated[Vector4, AfterValidator(_unit_length)]
 PathText = Annotated[str, AfterValidator(_not_empty)]
 
@@ -290,34 +230,6 @@ class _CameraTable(TomlTable):
     background: PathText | None = Field(None, description=_BACKGROUND_WANTED)
 
 
-class _MotionTable(TomlTable):
-    amplitude_m: NotNegative = Field(description="the amplitude in metres, 0 or more")
-    frequency_hz: Positive = Field(description="the frequency in hertz, above 0")
-    phase_rad: float = Field(0.0, description="the phase at t = 0 in radians")
-
-
-class TableTable(TomlTable):
-    """`[table]`, in scenes and throws alike."""
-
-    surface: str = Field(description='the surface as text, for example "wood"; "mirror" for one that reflects')
-    motion: _MotionTable | None = Field(None, description="a table {amplitude_m, frequency_hz, phase_rad}")
-
-
-class DieTable(TomlTable):
-    """`[die]`, in scenes and throws alike."""
-
-    shape: Annotated[str, AfterValidator(_known_shape)] = Field(description=f"one of {', '.join(SHAPES)}")
-    edge_m: Positive = Field(description="the edge of the sharp polyhedron in metres, above 0")
-    mass_kg: Positive = Field(description="the mass in kilograms, above 0")
-    corner_radius_m: Radius | None = Field(
-        None, description='the radius of the rounded corners in metres, 0 or more, or "estimate"'
-    )
-    inertia_kg_m2: Positive | None = Field(None, description="the moment of inertia in kg m², above 0")
-    marks: Annotated[str, AfterValidator(_known_marks)] | None = Field(
-        None, description='"pips", "numbers", or no such key for plain faces'
-    )
-
-
 class _ClickTable(TomlTable):
     px: Annotated[list[float], AfterValidator(_pair)] = Field(description="[x, y], where the corner is seen, in pixels")
     vertex: NotNegativeInt | None = Field(None, description="the corner's number in vertices.csv, or no such key")
@@ -340,6 +252,7 @@ class _SceneFile(TomlTable):
     table: TableTable = Field(description='a [table] table, for example surface = "wood"')
     die: DieTable = Field(description="a [die] table with shape, edge_m and mass_kg")
     start: _StartTable | None = Field(None, description="a [start] table with frame, and a pose or corners")
+    world: WorldTable = Field(WorldTable(gravity_m_s2=GRAVITY_M_S2), description="a [world] table with gravity_m_s2")
 
 
 # --- from tables to values ---
@@ -348,11 +261,11 @@ class _SceneFile(TomlTable):
 def _clip(table: _ClipTable, path: Path, files: _FilesOfScene) -> ClipSource:
     frame_s = 1.0 / table.fps if table.fps else np.inf
     if table.exposure_s and table.exposure_s > frame_s:
-        guess = _unit_guess(table.exposure_s, (1e-3, 1e-6), lambda exposure: exposure <= frame_s)
+        guess = unit_guess(table.exposure_s, (1e-3, 1e-6), lambda exposure: exposure <= frame_s)
         wanted = f"wanted seconds, at most the {frame_s:.4g} s between two frames{guess}"
         raise refuse(path, "clip.exposure_s", table.exposure_s, wanted)
     if table.readout_s > frame_s:
-        guess = _unit_guess(table.readout_s, (1e-3, 1e-6), lambda readout: readout <= frame_s)
+        guess = unit_guess(table.readout_s, (1e-3, 1e-6), lambda readout: readout <= frame_s)
         wanted = f"wanted seconds, at most the {frame_s:.4g} s between two frames{guess}"
         raise refuse(path, "clip.readout_s", table.readout_s, wanted)
     return ClipSource(
@@ -508,89 +421,11 @@ def _sees_table(camera: Camera) -> bool:
     return bool((rays[:, 2] < 0).any())
 
 
-def die_from(table: DieTable, path: Path) -> Die:
-    """The die of a `[die]` table, with sharp corners where it gives no radius. Raises SceneError for an impossible one."""
-    _check_density(table, path)
-    if table.marks == "pips" and table.shape != "cube":
-        raise refuse(path, "die.marks", "pips", f'a {table.shape} has no pips; wanted "numbers", or no such key')
-    die = make_die(table.shape, table.edge_m, table.mass_kg, marks=table.marks)
-    largest = MAX_CORNER_RADIUS_FRACTION * die.solid.inradius
-    given = table.corner_radius_m
-    radius = given if isinstance(given, float) else 0.0
-    if radius > largest:
-        guess = _unit_guess(radius, (1e-3, 1e-6), lambda radius: radius <= largest)
-        wanted = f"wanted metres, at most {MAX_CORNER_RADIUS_FRACTION:g} of the inscribed radius, {largest:.4g}{guess}"
-        raise refuse(path, "die.corner_radius_m", radius, wanted)
-    _check_inertia(table, die.with_corner_radius(radius), path)
-    return make_die(
-        table.shape,
-        table.edge_m,
-        table.mass_kg,
-        inertia_kg_m2=table.inertia_kg_m2,
-        corner_radius_m=radius,
-        marks=table.marks,
-    )
-
-
 def _rounding(table: DieTable) -> CornerRounding:
     """How the radius of the corners is found for a `[die]` table."""
     if table.corner_radius_m is None:
         return CornerRounding.TESTED
     return CornerRounding.ESTIMATED if table.corner_radius_m == ESTIMATE else CornerRounding.GIVEN
-
-
-def table_from(table: TableTable) -> Table:
-    """The table of a `[table]` table."""
-    motion = table.motion
-    return Table(
-        table.surface, None if motion is None else Motion(motion.amplitude_m, motion.frequency_hz, motion.phase_rad)
-    )
-
-
-def _check_density(table: DieTable, path: Path) -> None:
-    low, high = MIN_DENSITY_KG_M3, MAX_DENSITY_KG_M3
-
-    def possible(edge_m: float, mass_kg: float) -> bool:
-        return low <= mass_kg / _volume_m3(table.shape, edge_m) <= high
-
-    if table.edge_m > MAX_EDGE_M:
-        guess = _unit_guess(table.edge_m, (1e-3, 1e-2), lambda edge: possible(edge, table.mass_kg))
-        raise refuse(path, "die.edge_m", table.edge_m, f"wanted metres, at most {MAX_EDGE_M:g}{guess}")
-    if not possible(table.edge_m, table.mass_kg):
-        density = table.mass_kg / _volume_m3(table.shape, table.edge_m)
-        guess = _unit_guess(table.mass_kg, (1e-3, 1e-6, 1e3), lambda mass: possible(table.edge_m, mass))
-        wanted = (
-            f"with edge_m = {table.edge_m:g} that is {density:.3g} kg/m³; wanted kilograms, {low:g} to {high:g} kg/m³"
-        )
-        raise refuse(path, "die.mass_kg", table.mass_kg, wanted + guess)
-
-
-def _check_inertia(table: DieTable, die: Die, path: Path) -> None:
-    """Raise SceneError for an impossible moment of inertia. No mass lies outside the corners: J = ⅔ Σ m r² <= ⅔ m R²."""
-    most = 2.0 / 3.0 * die.mass_kg * die.solid.circumradius**2
-    if table.inertia_kg_m2 is not None and not MIN_INERTIA_SHARE * most <= table.inertia_kg_m2 <= most:
-        wanted = (
-            f"wanted kg m², {MIN_INERTIA_SHARE * most:.4g} to {most:.4g}, the most with all the mass at the corners; "
-            f"a homogeneous die has {die.inertia_kg_m2:.4g}"
-        )
-        raise refuse(path, "die.inertia_kg_m2", table.inertia_kg_m2, wanted)
-
-
-def _volume_m3(shape: str, edge_m: float) -> float:
-    """Volume, as the sum of the tetrahedra from the centre to triangles of the faces."""
-    solid = make_die(shape, edge_m, 1.0).solid
-    volume = 0.0
-    for face in solid.faces:
-        corners = solid.vertices[list(face)]
-        for j in range(1, len(face) - 1):
-            volume += float(corners[0] @ np.cross(corners[j], corners[j + 1])) / 6.0
-    return volume
-
-
-def _unit_guess(value: float, factors: tuple[float, ...], fits: Callable[[float], bool]) -> str:
-    """`; did you mean 0.016?` where one of the factors of units makes the value possible, else nothing."""
-    guess = next((value * factor for factor in factors if fits(value * factor)), None)
-    return "" if guess is None else f"; did you mean {guess:.6g}?"
 
 
 def shown_list(values: Array) -> str:

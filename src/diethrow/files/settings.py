@@ -56,6 +56,24 @@ Vector5 = Annotated[list[float], AfterValidator(_shaped(5))]
 Matrix3 = Annotated[list[list[float]], AfterValidator(_shaped(3, 3))]
 
 
+def _positive(value: float) -> float:
+    if not value > 0:
+        raise ValueError("not above 0")
+    return value
+
+
+def not_negative(value: float) -> float:
+    if value < 0:
+        raise ValueError("below 0")
+    return value
+
+
+Positive = Annotated[float, AfterValidator(_positive)]
+NotNegative = Annotated[float, AfterValidator(not_negative)]
+PositiveInt = Annotated[int, AfterValidator(_positive)]
+NotNegativeInt = Annotated[int, AfterValidator(not_negative)]
+
+
 def read_toml(path: Path) -> tuple[dict[str, Any], str]:
     """The tables of a TOML file and its text. Raises SceneError where it is absent, not text, or not TOML."""
     if not path.exists():
@@ -188,3 +206,9 @@ def _at(data: Any, loc: tuple[Any, ...]) -> Any:
 
 def _lower_first(text: str) -> str:
     return text[:1].lower() + text[1:]
+
+
+def unit_guess(value: float, factors: tuple[float, ...], fits: Callable[[float], bool]) -> str:
+    """`; did you mean 0.016?` where one of the factors of units makes the value possible, else nothing."""
+    guess = next((value * factor for factor in factors if fits(value * factor)), None)
+    return "" if guess is None else f"; did you mean {guess:.6g}?"

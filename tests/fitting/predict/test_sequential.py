@@ -13,6 +13,7 @@ from diethrow.fitting.predict.sequential import Estimate, physics_of_fit, sequen
 from diethrow.fitting.results import Fit
 from diethrow.fitting.throw.throw_fit import fit_throw
 from diethrow.model.die.die import make_die
+from diethrow.model.laws import LEVEL
 from diethrow.model.throw.motion import Throw
 
 CUBE = make_die("cube", 0.016, 0.0048)
@@ -70,4 +71,4 @@ def test_a_throw_without_explained_bounces_has_no_estimate(estimated: tuple[tupl
 
 def test_the_physics_of_a_fit_has_its_values(estimated: tuple[tuple[Estimate, ...], Fit, Throw]) -> None:
     fit = estimated[1]
-    assert physics_of_fit(fit, CUBE).values["chi"] == fit.parameters["chi"].value
+    assert physics_of_fit(fit, CUBE, LEVEL).values["chi"] == fit.parameters["chi"].value

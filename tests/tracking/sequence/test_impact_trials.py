@@ -13,6 +13,7 @@ from random_throws import DICE, random_quaternion, state_difference
 from throws import random_release, true_throw
 
 from diethrow.model.throw import Flight, State
+from diethrow.model.world import GRAVITY_M_S2
 from diethrow.tracking.picture import PARAMETERS, STATISTICS
 from diethrow.tracking.pose import Pose
 from diethrow.tracking.quality import STANDARD
@@ -46,7 +47,7 @@ def test_one_trial_lies_near_the_state_beyond_a_smooth_impact(shape: str, fps: f
         earlier = Flight(before.start, np.inf).at(touch_s - (1.0 - share) / fps)
         later = Flight(after.start, np.inf).at(touch_s + share / fps)
         here, there = (later, earlier) if backwards else (earlier, later)
-        trials = list(islice(beyond_impacts(die, here, there.time_s), STANDARD.max_hypotheses))
+        trials = list(islice(beyond_impacts(die, here, there.time_s, GRAVITY_M_S2), STANDARD.max_hypotheses))
         assert all(trial.time_s == pytest.approx(there.time_s) for trial in trials)
         off = np.array([state_difference(there, trial) for trial in trials])
         near = np.linalg.norm(off[:, :3], axis=1) / die.solid.edge_m / NEAR_EDGES
@@ -57,14 +58,14 @@ def test_one_trial_lies_near_the_state_beyond_a_smooth_impact(shape: str, fps: f
 def test_a_die_high_above_the_table_has_no_trials() -> None:
     die, rng = DICE["cube"], np.random.default_rng(1)
     release = random_release(die, rng)
-    assert list(beyond_impacts(die, release, release.time_s + 1e-3)) == []
+    assert list(beyond_impacts(die, release, release.time_s + 1e-3, GRAVITY_M_S2)) == []
 
 
 def test_rates_that_turn_the_die_alike_are_one() -> None:
     die, rng = DICE["cube"], np.random.default_rng(2)
     throw = true_throw(die, random_release(die, rng), 0.5, impacts=1)
     before = Flight(throw.flights[0].start, np.inf).at(throw.impacts[0].time_s - 1e-3)
-    states = list(beyond_impacts(die, before, before.time_s + 1.0 / 240.0))
+    states = list(beyond_impacts(die, before, before.time_s + 1.0 / 240.0, GRAVITY_M_S2))
     rates = different_rates(states, 1.0 / 240.0)
     apart = np.linalg.norm(rates[:, None, 3:] - rates[None, :, 3:], axis=2) / 240.0
     assert 1 <= len(rates) < len(states)

@@ -449,7 +449,7 @@ def test_a_motion_predicted_back_to_where_it_was_known_has_no_negative_variance(
         P[6:, 6:] = A @ A.T
         motion, rotation = np.concatenate([rng.standard_normal(6), 10.0 * rng.standard_normal(3)]), np.eye(3)
         for dt in (1e-3, -3e-4, -7e-4):
-            rotation = predict_motion(motion, rotation, P, dt)
+            rotation = predict_motion(motion, rotation, P, dt, GRAVITY_M_S2)
         below += bool(np.diag(P)[:3].max() < 0.0)
         # A millisecond of some metres a second, to the root of rounding.
         assert 0.0 <= widest_sigma(P, 0) < 1e-3 * 1e-7

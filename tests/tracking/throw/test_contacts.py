@@ -26,6 +26,7 @@ from diethrow.model.rotations import (
 )
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.model.world import GRAVITY_M_S2
 from diethrow.tracking.flights.flight_chain import (
     LEVER_SHARE,
     MIN_LEVER_SIGMA_RAD_S,
@@ -167,7 +168,9 @@ def test_a_propagated_state_is_that_of_its_flight() -> None:
     )
     none, closed = np.zeros((1, 6)), np.zeros(1, bool)
     for after in (-0.01, 0.0, 1e-7, 0.03):
-        _, ends, transitions = propagate_chain(packed(state), np.array([0.2 + after]), none, closed, np.zeros((1, 14)))
+        _, ends, transitions = propagate_chain(
+            packed(state), np.array([0.2 + after]), none, closed, np.zeros((1, 14)), GRAVITY_M_S2
+        )
         there, flight = unpacked(ends[0]), Flight(state, np.inf)
         wanted = flight.at(0.2 + after)
         for name in ("position_m", "quaternion", "velocity_m_s", "omega_rad_s"):

@@ -107,6 +107,7 @@ def _measured(scene: Scene, view: View, clip: Clip, timing: Timing, start: Manua
             rounding=scene.rounding,
             level_grey=level_grey(clip, response),
             readout_s=scene.clip.readout_s,
+            gravity_m_s2=scene.table.gravity_m_s2,
         )
         light = clip_in_light(clip, response)
         return measure_clip_quality(

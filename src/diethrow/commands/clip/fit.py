@@ -25,7 +25,6 @@ from ...fitting.predict import Estimate, sequential_estimates
 from ...fitting.results import Fit
 from ...fitting.throw import IntervalMethod, fit_throw
 from ...model.die import Die
-from ...model.laws import LEVEL
 from ...model.laws import Table as ModelTable
 from ...model.throw import Throw
 from ...replay.elements import Record
@@ -49,7 +48,7 @@ def fit_track(
     """The fitting stage alone, on a track from anywhere; the scene gives the die and the table. Raises as `analyze`."""
     watch = Stopwatch()
     table, die = scene.table.in_model, scene.given_die()
-    frames = read_track(track_path)
+    frames = read_track(track_path, table.gravity_m_s2)
     paths = (scene.path, track_path, *if_there(covariance_path(track_path)))
     with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, unchanged_inputs(paths) as inputs:
         found = find_impacts(frames, track_path, die, None, progress, watch)
@@ -83,7 +82,7 @@ def run_fit(
     progress: Progress,
     watch: Stopwatch,
     intervals: IntervalMethod,
-    table: ModelTable = LEVEL,
+    table: ModelTable | None = None,
 ) -> Fit:
     """The fit of a track whose flights are measured."""
     with watch.stage("fit"):
@@ -98,7 +97,7 @@ def estimate_sequentially(
     fit: Fit,
     progress: Progress,
     watch: Stopwatch,
-    table: ModelTable = LEVEL,
+    table: ModelTable | None = None,
 ) -> tuple[Estimate, ...]:
     """The estimates from the frames up to each bounce."""
     with watch.stage("estimates"):

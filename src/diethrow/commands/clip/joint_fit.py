@@ -53,12 +53,12 @@ def fit_tracks(
     exists.
     """
     watch = Stopwatch()
-    scene.still_table()
+    gravity_m_s2 = scene.still_table().gravity_m_s2
     die = scene.given_die()
     inputs = (scene.path, *track_paths, *(p for p in map(covariance_path, track_paths) if p.exists()))
     with whole_folder(out, force=force, inputs=inputs) as folder:
         with watch.stage("read"):
-            entries, left_out = _read(track_paths, die, progress)
+            entries, left_out = _read(track_paths, die, gravity_m_s2, progress)
         if len(entries) < 2:
             error = RunError(
                 f"{len(entries)} of {len(track_paths)} tracks can be fitted; wanted at least two for a joint fit"
@@ -111,13 +111,15 @@ def _throw_table(throw: PredictedThrow) -> dict[str, Any]:
     }
 
 
-def _read(paths: Sequence[Path], die: Die, progress: Progress) -> tuple[list[Entry], tuple[str, ...]]:
+def _read(
+    paths: Sequence[Path], die: Die, gravity_m_s2: float, progress: Progress
+) -> tuple[list[Entry], tuple[str, ...]]:
     entries: list[Entry] = []
     left_out: list[str] = []
     for k, path in enumerate(paths):
         progress("Reading the tracks", k, len(paths))
         try:
-            entries.append(entry_of(path.stem, read_track(path), die))
+            entries.append(entry_of(path.stem, read_track(path, gravity_m_s2), die))
         except ValueError as error:
             reason = str(error).removeprefix(f"{path}: ").removeprefix(f"{path.stem}: ")
             left_out.append(f"{path} is left out: {reason}.")

@@ -124,7 +124,7 @@ def predict(path: Path, physics: Physics, parameters: dict[str, Parameter], from
     """The prediction of one throw. Raises ValueError, with the reason, for a track that cannot be predicted from
     there.
     """
-    track = read_track(path)
+    track = read_track(path, physics.table.gravity_m_s2)
     row = first_bounce_row(track, physics.die) if from_frame == FIRST_BOUNCE else _row_of(track, int(from_frame))
     release = release_before(track, physics.body, row)
     simulated = predict_track(physics, track, release)
@@ -147,7 +147,9 @@ def predict(path: Path, physics: Physics, parameters: dict[str, Parameter], from
 def physics_of(fit_path: Path, scene: Scene) -> tuple[Physics, dict[str, Parameter]]:
     """Die, table and law of a fit. Raises ValueError for a parameter that throws do not have."""
     parameters, restitution = read_parameters(fit_path)
-    physics = Physics(scene.given_die(), Table(), {"chi": 0.0}, restitution=restitution)
+    physics = Physics(
+        scene.given_die(), Table(gravity_m_s2=scene.table.gravity_m_s2), {"chi": 0.0}, restitution=restitution
+    )
     values = {}
     for name, parameter in parameters.items():
         try:

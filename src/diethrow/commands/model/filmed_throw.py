@@ -28,6 +28,7 @@ from ...model.die import MAX_CORNER_RADIUS_FRACTION, Die
 from ...model.laws import CoulombImpact, SmoothImpact
 from ...model.rotations import continuous_sign, quat_from_rotvec, quat_multiply
 from ...model.throw import State, Throw, Until, throw_die
+from ...model.world import GRAVITY_M_S2
 from ...replay.render import (
     Aperture,
     Appearance,
@@ -279,7 +280,11 @@ def second_throw(plan: Plan, throw: Throw, camera: Camera, times_s: Array) -> Th
             beside[2] = max(beside[2], size * 1.01)  # whichever corner points down
             release = replace(first, position_m=beside, quaternion=turned)
             other = throw_die(
-                plan.die, release, plan.law, until=Until(time_s=float(times_s[-1]) + AFTER_LANDING_S)
+                plan.die,
+                release,
+                plan.law,
+                until=Until(time_s=float(times_s[-1]) + AFTER_LANDING_S),
+                table=plan.model_table,
             ).throw
             there = other.poses(times_s)[0]
             if np.linalg.norm(there - positions, axis=1).min() > APART_RADII * size:
@@ -301,11 +306,11 @@ def _throw_on_film(plan: Plan, fps: float, settings: FilmSettings) -> tuple[Thro
     until = Until(time_s=until_s, impacts=plan.until_impacts)
     if frames is not None:
         until = Until(time_s=frames / fps)
-    throw = throw_die(plan.die, release, plan.law, until=until).throw
+    throw = throw_die(plan.die, release, plan.law, until=until, table=plan.model_table).throw
     end_s = throw.flights[-1].end_s
     if until == Until():
         end_s += AFTER_LANDING_S
-        throw = throw_die(plan.die, release, plan.law, until=Until(time_s=end_s)).throw
+        throw = throw_die(plan.die, release, plan.law, until=Until(time_s=end_s), table=plan.model_table).throw
     count = frames or int(np.floor(end_s * fps + 1e-9)) + 1
     if count > MAX_FRAMES:
         wanted = f"the throw lasts {end_s:.3g} s, {count} frames; wanted at most {MAX_FRAMES}, set until.time_s"
@@ -317,7 +322,7 @@ def _release_at(plan: Plan, start_s: float) -> State:
     """The state at the beginning of the film, as a release at time 0. Raises ValueError after the first impact."""
     if start_s == 0.0:
         return plan.release
-    first = throw_die(plan.die, plan.release, plan.law, until=Until(impacts=1)).throw
+    first = throw_die(plan.die, plan.release, plan.law, until=Until(impacts=1), table=plan.model_table).throw
     impact_s = first.impacts[0].time_s if first.impacts else first.flights[0].end_s
     if start_s >= impact_s:
         raise ValueError(f"start_s = {start_s}: wanted a time before the first impact at {impact_s:.5g} s")
@@ -457,6 +462,8 @@ def scene_text(job: FilmJob, clip: str) -> str:
     """The scene file of this clip."""
     response = "" if is_linear(job.response) else f"response = {json.dumps(job.response)}\n"
     readout = f"readout_s = {float(job.readout_s)!r}\n" if job.readout_s else ""
+    gravity_m_s2 = job.throw.flights[0].gravity_m_s2
+    world = f"\n[world]\ngravity_m_s2 = {gravity_m_s2!r}\n" if gravity_m_s2 != GRAVITY_M_S2 else ""
     return f"""# {job.name}: a simulated throw, rendered as filmed at {job.fps:g} frames per second.
 
 [clip]
@@ -465,7 +472,7 @@ fps = {float(job.fps)!r}
 exposure_s = {float(job.exposure_s)!r}
 background = "background.png"
 {readout}{response}
-{scene_tables(job.camera, job.surface, job.die)}"""
+{scene_tables(job.camera, job.surface, job.die)}{world}"""
 
 
 def scene_tables(camera: Camera, surface: str, die: Die) -> str:
