@@ -55,6 +55,13 @@ def test_the_written_camera_is_that_of_the_pictures_and_fits_a_scene(pictures: l
     assert sigma < 10.0
     assert np.abs(camera.rotation - rotation).max() < 0.01
     assert np.linalg.norm(camera.translation_m - shift) < 0.006
+    names, C = record["covariance_names"], np.array(record["covariance"])
+    assert names[:4] == ["fx", "fy", "cx", "cy"]
+    assert names[-7:] == ["rotation_x_rad", "rotation_y_rad", "rotation_z_rad", "x_m", "y_m", "z_m", "board_scale"]
+    assert C.shape == (len(names), len(names))
+    assert np.sqrt(C[0, 0]) == pytest.approx(sigma)
+    assert np.sqrt(C[-1, -1]) == pytest.approx(1e-3)
+    assert (np.linalg.eigvalsh(C / np.sqrt(np.outer(np.diag(C), np.diag(C)))) > 0.0).all()
     page = (out / "calibration.html").read_text()
     assert "://" not in page.replace("http://www.w3.org", "")
 

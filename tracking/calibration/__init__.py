@@ -13,5 +13,6 @@ from .intrinsics import INTRINSICS as INTRINSICS
 from .intrinsics import Calibration as Calibration
 from .intrinsics import PosedBoard as PosedBoard
 from .intrinsics import calibrate as calibrate
+from .table_board import JOINT as JOINT
 from .table_board import TablePose as TablePose
 from .table_board import table_pose as table_pose

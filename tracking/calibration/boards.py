@@ -30,6 +30,10 @@ MIN_SQUARES = 3
 """Fewest squares along one side."""
 MAX_SQUARES = 100
 """Most squares along one side: no camera resolves finer boards."""
+PRINTED_SHARE = 1e-3
+"""Standard error of the size of a printed board that was measured with a ruler, as a share of it."""
+MOST_UNSURE = 0.1
+"""A larger standard error of a square, as a share of its side, is in another unit."""
 MAX_SQUARE_M = 1.0
 """Largest side of a square; a larger one is in another unit."""
 BLACK_PERCENTILE = 0.1
@@ -63,10 +67,17 @@ class Board:
     rows: int
     """Squares along y."""
     square_m: float
+    square_sigma_m: float
+    """Standard error of the size of all squares."""
     marker_m: float = 0.0
     """Side of a marker; unused for a chessboard."""
     dictionary: str = "DICT_4X4_50"
     """OpenCV's name of the markers' dictionary."""
+
+    @property
+    def scale_sigma(self) -> float:
+        """Standard error of the board's size, as a share of it."""
+        return self.square_sigma_m / self.square_m
 
     @property
     def centre_m(self) -> Array:
@@ -98,9 +109,11 @@ class BoardView:
 
 
 def make_board(
-    kind: str, columns: int, rows: int, square_m: float, marker_m: float | None = None, dictionary: str = "DICT_4X4_50"
-) -> Board:
-    """A board. Raises ValueError for one that cannot be printed or detected."""
+    kind: str, columns: int, rows: int, square_m: float, marker_m: float | None = None, dictionary: str = "DICT_4X4_50",
+    square_sigma_m: float | None = None,
+) -> Board:  # fmt: skip
+    """A board; without `square_sigma_m` its size is known to PRINTED_SHARE. Raises ValueError for one that cannot be printed or
+    detected."""
     if kind not in (CHARUCO, CHESSBOARD):
         raise ValueError(f"board = {kind}; wanted {CHARUCO} or {CHESSBOARD}")
     if not (MIN_SQUARES <= columns <= MAX_SQUARES and MIN_SQUARES <= rows <= MAX_SQUARES):
@@ -111,8 +124,14 @@ def make_board(
         raise ValueError(
             f"square_mm = {1e3 * square_m:g}; wanted the side of a square in millimetres, above 0, at most {1e3 * MAX_SQUARE_M:g}"
         )
+    sigma_m = PRINTED_SHARE * square_m if square_sigma_m is None else square_sigma_m
+    if not 0.0 <= sigma_m < MOST_UNSURE * square_m:
+        raise ValueError(
+            f"square_sigma_mm = {1e3 * sigma_m:g}; wanted the standard error of the side in millimetres, 0 or more, below "
+            f"{1e3 * MOST_UNSURE * square_m:g}"
+        )
     if kind == CHESSBOARD:
-        return Board(kind, columns, rows, square_m)
+        return Board(kind, columns, rows, square_m, sigma_m)
     if marker_m is None or not 0 < marker_m < square_m:
         given = "missing" if marker_m is None else f"{1e3 * marker_m:g}"
         raise ValueError(
@@ -129,7 +148,7 @@ def make_board(
             f"dictionary = {dictionary}: it has {known} markers and a board of {columns}x{rows} needs {markers}; "
             "give the dictionary that the board was printed with"
         )
-    return Board(kind, columns, rows, square_m, marker_m, dictionary)
+    return Board(kind, columns, rows, square_m, sigma_m, marker_m, dictionary)
 
 
 def find_boards(pictures: Sequence[tuple[str, Frame]], board: Board) -> list[BoardView | None]:

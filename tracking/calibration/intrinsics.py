@@ -12,7 +12,8 @@ border of the picture.
 At the minimum the covariance is sigma² (JᵀJ)⁻¹ with sigma² = S / (n - k). JᵀJ is an arrow, intrinsics A, poses E_i and
 B_i between them, so that with C = (A - sum B_i E_i⁻¹ B_iᵀ)⁻¹
 
-    cov(intrinsics) = sigma² C,    cov(pose i) = sigma² (E_i⁻¹ + E_i⁻¹ B_iᵀ C B_i E_i⁻¹):
+    cov(intrinsics) = sigma² C,    cov(pose i) = sigma² (E_i⁻¹ + E_i⁻¹ B_iᵀ C B_i E_i⁻¹),
+    cov(intrinsics, pose i) = -sigma² C B_i E_i⁻¹:
 
 uncertain intrinsics make the poses uncertain too. Pose increments are (δθ, δt) in camera axes, R_true = exp(δθ) R.
 """
@@ -70,6 +71,8 @@ class PosedBoard:
     """(3,) position of the board's origin in camera axes."""
     covariance: Array
     """(6, 6) of (δθ [rad], δt [m]) in camera axes, including the uncertainty of the intrinsics."""
+    with_intrinsics: Array
+    """(9, 6) covariance of the intrinsics, in the order of INTRINSICS, with (δθ, δt)."""
     residuals_px: Array
     """(n, 2) measured minus projected corners."""
 
@@ -288,15 +291,16 @@ def _calibration(
     C = scaled_inverse(np.sum([A - B @ E @ B.T for A, B, E in blocks], axis=0))
     covariance = np.zeros((9, 9))
     covariance[np.ix_(used, used)] = variance * C
-    boards = tuple(
-        PosedBoard(view, R, t, np.asarray(variance * (E + E @ B.T @ C @ B @ E), float), residuals)
-        for view, R, t, residuals, (_, B, E) in zip(
-            fit.views, fit.turns, fit.shifts, fit.residuals, blocks, strict=True
-        )
-    )
+    boards = []
+    for view, R, t, residuals, (_, B, E) in zip(fit.views, fit.turns, fit.shifts, fit.residuals, blocks, strict=True):
+        by_lens = -C @ B @ E
+        with_intrinsics = np.zeros((9, 6))
+        with_intrinsics[used] = variance * by_lens
+        of_pose = np.asarray(variance * (E - E @ B.T @ by_lens), float)
+        boards.append(PosedBoard(view, R, t, of_pose, with_intrinsics, residuals))
     found = Calibration(
         width_px, height_px, fit.matrix, fit.distortion, (*INTRINSICS[:4], *fit.free), covariance, float(np.sqrt(variance)),
-        boards, left_out, corners_out, (),
+        tuple(boards), left_out, corners_out, (),
     )  # fmt: skip
     return Calibration(**{**vars(found), "notices": _notices(found)})
 

@@ -8,6 +8,10 @@ A plane in perspective has two poses with nearly the same picture, mirror images
 the squares with distance distinguishes them (Collins and Bartoli, "Infinitesimal plane-based pose estimation", Int. J. Comput.
 Vis. 109, 252, 2014). Both are refined and compared. A picture with sums of squares that differ by less than MIN_DIFFERENCE is
 refused.
+
+**One covariance.** The pose of the table shares the errors of the intrinsics: a focal length that is too long puts the table
+too far away. It shares the error of the printed squares, too: where they are larger by the factor 1 + s, so are all distances,
+and no picture of the board tells. Intrinsics, pose and s have one covariance, `TablePose.joint_covariance`.
 """
 
 from __future__ import annotations
@@ -21,10 +25,12 @@ from numpy.typing import NDArray
 from ...model.rotations import angle_between, cross_matrix
 from ..camera import Camera
 from .boards import Board
-from .intrinsics import Calibration, PosedBoard
+from .intrinsics import INTRINSICS, Calibration, PosedBoard
 
 Array = NDArray[np.float64]
 
+JOINT = (*INTRINSICS, "rotation_x_rad", "rotation_y_rad", "rotation_z_rad", "x_m", "y_m", "z_m", "board_scale")
+"""What the joint covariance is of, by name: the intrinsics; (δθ, δt) in camera axes, rotation_true = exp(δθ) rotation; and s."""
 HALF_TURN = np.diag([1.0, -1.0, -1.0])
 """(3, 3) rotation from world to board axes."""
 MIN_DIFFERENCE = 25.0
@@ -40,13 +46,19 @@ class TablePose:
     """A camera with its pose over the table."""
 
     camera: Camera
-    covariance: Array
-    """(6, 6) of (δθ [rad], δt [m]) in camera axes: rotation_true = exp(δθ) rotation, and translation_m."""
+    joint_covariance: Array
+    """(16, 16) in the order of JOINT."""
     board: PosedBoard
     other_rotation: Array | None
     """(3, 3) world to camera of the other planar pose; None where there is none."""
     other_rms_px: float | None
     """Root mean square residual of the other pose."""
+
+    @property
+    def covariance(self) -> Array:
+        """(6, 6) of (δθ [rad], δt [m]) in camera axes: rotation_true = exp(δθ) rotation, and translation_m."""
+        pose = slice(len(INTRINSICS), len(INTRINSICS) + 6)
+        return self.joint_covariance[pose, pose]
 
     @property
     def tilt_sigma_rad(self) -> float:
@@ -77,7 +89,7 @@ def table_pose(calibration: Calibration, board: Board, name: str, thickness_m: f
     n = len(posed.view.ids)
     return TablePose(
         camera,
-        _covariance_at_world_origin(posed.covariance, camera, t),
+        _joint_covariance(calibration, board, posed, camera, thickness_m),
         posed,
         None if other is None else other[0] @ HALF_TURN,
         None if other is None else float(np.sqrt(other[2] / n)),
@@ -133,8 +145,21 @@ def _check_above_table(camera: Camera, name: str) -> None:
         )
 
 
-def _covariance_at_world_origin(covariance: Array, camera: Camera, t: Array) -> Array:
-    """The covariance of (δθ, δt), transferred from the board's origin to the world's: t' = t + a, δt' = δt + δθ × a."""
+def _joint_covariance(
+    calibration: Calibration, board: Board, posed: PosedBoard, camera: Camera, thickness_m: float
+) -> Array:
+    """(16, 16) in the order of JOINT."""
+    k, n = len(INTRINSICS), len(JOINT)
+    # From the board's origin to the world's: t' = t + a, δt' = δt + δθ × a.
     M = np.eye(6)
-    M[3:, :3] = -cross_matrix(camera.translation_m - t)
-    return np.asarray(M @ covariance @ M.T)
+    M[3:, :3] = -cross_matrix(camera.translation_m - posed.translation_m)
+    joint = np.zeros((n, n))
+    joint[:k, :k] = calibration.covariance
+    joint[:k, k:-1] = posed.with_intrinsics @ M.T
+    joint[k:-1, :k] = joint[:k, k:-1].T
+    joint[k:-1, k:-1] = M @ posed.covariance @ M.T
+    by_scale = np.zeros(n)
+    # The board's thickness is measured by itself.
+    by_scale[k + 3 : -1] = camera.translation_m + camera.rotation @ np.array([0.0, 0.0, thickness_m])
+    by_scale[-1] = 1.0
+    return np.asarray(joint + board.scale_sigma**2 * np.outer(by_scale, by_scale))

@@ -355,6 +355,10 @@ def calibrate(
     ],
     out: OutFolder,
     square_mm: Annotated[float, typer.Option("--square-mm", metavar="MM", help="Side of a square as printed.")],
+    square_sigma_mm: Annotated[
+        float | None,
+        typer.Option("--square-sigma-mm", metavar="MM", help="Standard error of that side; left out: 0.1 % of it."),
+    ] = None,
     squares: Annotated[str, typer.Option("--squares", metavar="CxR", help="Squares along columns and rows.")] = "7x5",
     board: Annotated[str, typer.Option("--board", help="charuco or chessboard.")] = "charuco",
     marker_mm: Annotated[
@@ -381,7 +385,8 @@ def calibrate(
 
             columns, rows = two_counts("squares", squares)
             marker_m = None if marker_mm is None else 1e-3 * marker_mm
-            printed = make_board(board, columns, rows, 1e-3 * square_mm, marker_m, dictionary)
+            sigma_m = None if square_sigma_mm is None else 1e-3 * square_sigma_mm
+            printed = make_board(board, columns, rows, 1e-3 * square_mm, marker_m, dictionary, sigma_m)
         from ..commands.clip.calibrate import calibrate_camera
 
         with announcing():

@@ -25,7 +25,7 @@ from pictures_of_boards import (
 from diethrow.model.rotations import quat_from_matrix, rotation_between
 from diethrow.tracking.calibration.boards import Board, BoardView, find_boards, make_board
 from diethrow.tracking.calibration.intrinsics import Calibration, calibrate
-from diethrow.tracking.calibration.table_board import table_pose
+from diethrow.tracking.calibration.table_board import JOINT, table_pose
 from diethrow.tracking.camera import Camera
 
 TRUTH = np.array([MATRIX[0, 0], MATRIX[1, 1], MATRIX[0, 2], MATRIX[1, 2], *DISTORTION])
@@ -172,6 +172,58 @@ def test_the_pose_of_the_camera_lies_within_its_covariance(thickness_m: float) -
     assert 3.0 < np.mean(nees) < 10.0
 
 
+def test_the_joint_covariance_of_camera_table_and_board_is_honest() -> None:
+    """Over draws of the corners' noise and of the size of the print. Where a point of the table appears is known to some
+    hundredths of a pixel, for the board was seen there: focal length and distance err together."""
+    rotation, shift = table_pose_of()
+    lens = np.array([-0.25, 0.0, 0.0, 0.0, 0.0])
+    where, names = [*poses(10, PLAIN_BOARD), on_table(PLAIN_BOARD, rotation, shift)], ("fx", "fy", "cx", "cy", "k1")
+    used = [JOINT.index(name) for name in (*names, *JOINT[9:])]
+    points = np.array([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0], [-0.01, 0.02, 0.0]])
+    pixels = Camera(WIDTH, HEIGHT, MATRIX, lens, rotation, shift).project(points)
+    nees, squares, shared, apart = [], [], [], []
+    for seed in range(40):
+        scale = 1.0 + PLAIN_BOARD.scale_sigma * np.random.default_rng(100 + seed).normal()
+        # The board that was printed; what is stated are the squares of PLAIN_BOARD.
+        true = replace(PLAIN_BOARD, square_m=scale * PLAIN_BOARD.square_m)
+        seen_as = [*where[:-1], on_table(true, rotation, shift)]
+        views = [replace(v, corners_m=v.corners_m / scale) for v in corner_views(true, seen_as, 0.1, seed, lens)]
+        found = calibrate(views, WIDTH, HEIGHT)
+        if found.free != names:
+            continue
+        placed = table_pose(found, PLAIN_BOARD, "10.png")
+        turned = rotation_between(quat_from_matrix(placed.camera.rotation), quat_from_matrix(rotation))
+        off = np.concatenate([TRUTH[:4], lens[:1]]) - found.values[:5]
+        error = np.concatenate([off, turned, shift - placed.camera.translation_m, [scale - 1.0]])
+        C = placed.joint_covariance[np.ix_(used, used)]
+        nees.append(error @ np.linalg.solve(C, error))
+        J = pixel_slopes(placed.camera, points)
+        squares.append((placed.camera.project(points) - pixels).ravel() ** 2)
+        shared.append(np.diag(J @ C[:-1, :-1] @ J.T))
+        C[:5, 5:], C[5:, :5] = 0.0, 0.0
+        apart.append(np.diag(J @ C[:-1, :-1] @ J.T))
+    assert len(nees) > 28
+    assert abs(np.mean(nees) - 12.0) < 4.0 * np.sqrt(2.0 * 12.0 / len(nees))
+    # Mean squares of 40 draws: four standard deviations.
+    assert np.abs(np.mean(squares, axis=0) / np.mean(shared, axis=0) - 1.0).max() < 4.0 * np.sqrt(2.0 / len(nees))
+    assert np.mean(apart) > 10.0 * np.mean(shared)
+
+
+def pixel_slopes(camera: Camera, points: np.ndarray) -> np.ndarray:
+    """(2 n, 11) derivatives of pixels by fx, fy, cx, cy, k1 and (δθ, δt), by central differences."""
+
+    def seen_with(change: np.ndarray) -> np.ndarray:
+        matrix, lens = camera.matrix.copy(), camera.distortion.copy()
+        matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += change[:4]
+        lens[0] += change[4]
+        turn = cv2.Rodrigues(change[5:8])[0]
+        moved = Camera(WIDTH, HEIGHT, matrix, lens, turn @ camera.rotation, camera.translation_m + change[8:])
+        return moved.project(points).ravel()
+
+    steps = np.diag([0.1] * 4 + [1e-4] * 4 + [1e-5] * 3)
+    return np.stack([(seen_with(s) - seen_with(-s)) / (2.0 * s.max()) for s in steps], axis=1)
+
+
 def test_the_right_one_of_the_two_poses_of_a_plane_is_chosen_and_the_other_reported() -> None:
     rotation, shift = table_pose_of(pitch_deg=65.0)
     found = table_pose(
@@ -213,6 +265,7 @@ def test_a_table_picture_that_was_left_out_is_named() -> None:
     ("given", "message"),
     [
         (("circles", 7, 5, 0.01, 0.007), "board = circles"),
+        (("chessboard", 7, 5, 0.01, None, "DICT_4X4_50", 0.02), "square_sigma_mm = 20; wanted"),
         (("charuco", 2, 5, 0.01, 0.007), "squares = 2x5"),
         (("charuco", 7, 5, 0.0, 0.007), "square_mm = 0"),
         (("charuco", 7, 5, 0.01, 0.01), "marker_mm = 10"),

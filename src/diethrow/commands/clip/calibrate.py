@@ -16,6 +16,7 @@ from ...files.provenance import Stopwatch, write_provenance
 from ...replay.pages import calibration_page
 from ...tracking.calibration import (
     INTRINSICS,
+    JOINT,
     Board,
     BoardView,
     Calibration,
@@ -144,6 +145,9 @@ def _record(
     calibration: Calibration, table: TablePose | None, board: Board, missing: tuple[Path, ...]
 ) -> dict[str, Any]:
     free = [INTRINSICS.index(name) for name in calibration.free]
+    joint = calibration.covariance if table is None else table.joint_covariance
+    names = INTRINSICS if table is None else JOINT
+    kept = [k for k, name in enumerate(names) if k in free or k >= len(INTRINSICS)]
     return {
         "board": vars(board),
         "width_px": calibration.width_px,
@@ -154,8 +158,8 @@ def _record(
                 zip(INTRINSICS, calibration.values, calibration.sigmas, strict=True)
             )
         },
-        "covariance_names": list(calibration.free),
-        "covariance": calibration.covariance[np.ix_(free, free)].tolist(),
+        "covariance_names": [names[k] for k in kept],
+        "covariance": joint[np.ix_(kept, kept)].tolist(),
         "sigma_px": calibration.sigma_px,
         "rms_px": calibration.rms_px,
         "pictures": [
@@ -181,7 +185,6 @@ def _table_record(table: TablePose) -> dict[str, Any]:
         "rotation": table.camera.rotation.tolist(),
         "translation_m": table.camera.translation_m.tolist(),
         "camera_place_m": table.camera.centre_m.tolist(),
-        "covariance_rad_m": table.covariance.tolist(),
         "sigma_vertical_rad": table.tilt_sigma_rad,
         "rms_px": table.board.rms_px,
         "other_pose_rms_px": table.other_rms_px,
