@@ -58,6 +58,9 @@ _NEGLIGIBLE_DIAGONAL = 1e-13
 _NULL_COLUMN = 1e-12
 """The same for a column of the derivative that is zero, such as that of friction where every contact sticks."""
 
+_SMALLEST_STEP = 1e-200
+"""Of an unknown that does not move, where it is divided by."""
+
 
 def huber(residuals: Array, jacobian: Array, k2: float) -> tuple[Array, Array]:
     """Scaled residuals (n, 6), whose squares add up to Σ ρ, and their derivative (n, 6, m)."""
@@ -137,7 +140,8 @@ def _bounded_step(rows: Array, root: Array, low: Array, high: Array, damping: fl
         if not len(beyond):
             break
         # The bound that the step crosses first; with that unknown on its bound the others may stay inside.
-        first = beyond[np.argmin(np.abs(inside[beyond]) / np.abs(step[beyond]))]
+        # By rounding an unknown that does not move may lie a last digit beyond its bound.
+        first = beyond[np.argmin(np.abs(inside[beyond]) / np.maximum(np.abs(step[beyond]), _SMALLEST_STEP))]
         step[first], free[first] = inside[first], False
     after = rows[:, -1] + rows[:, :-1] @ step
     return step, float(rows[:, -1] @ rows[:, -1] - after @ after)

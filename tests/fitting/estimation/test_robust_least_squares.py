@@ -94,3 +94,11 @@ def test_a_descent_stops_at_a_bound_and_solves_for_the_rest() -> None:
     rest = np.linalg.lstsq(matrix[:, 1:], target + 0.5 * matrix[:, 0], rcond=None)[0]
     assert np.linalg.lstsq(matrix, target, rcond=None)[0][0] < -0.5
     assert x == pytest.approx([-0.5, rest[0]], abs=1e-12)
+
+
+def test_an_unknown_that_does_not_move_and_is_beyond_its_bound_by_rounding_harms_nothing() -> None:
+    def evaluate(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return x[1:] - 1.0, np.array([[0.0, 1.0]])
+
+    x = levenberg_marquardt(evaluate, np.eye(2), np.array([1e-18, -np.inf]), np.array([np.inf, np.inf]))
+    assert x == pytest.approx([0.0, 1.0], abs=1e-12)
