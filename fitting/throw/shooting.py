@@ -44,6 +44,13 @@ _NO_INFORMATION = 1e-6
 LARGEST_DISPLACEMENT = 0.25
 """Displacement of a state, of what the model resolves: axes of a tilted table may make a component larger by a factor of √3."""
 
+MOST_TURNS = 1.0
+"""Turns in a frame interval by which a fit may change a spin about each axis."""
+MOST_MOVED_M = 1.0
+"""Distance in a frame interval by which it may change a velocity along each axis."""
+MOST_AWAY_M = 100.0
+"""Distance by which it may move a start along each axis."""
+
 _HOPELESS = 2.0
 """Cost in k² per frame above which a trajectory is no fit; one within `extension.MISFIT` costs less."""
 
@@ -130,7 +137,7 @@ def fit_trajectory(
     room = np.array([[bound - physics.values[name] for bound in physics.bounds(name)] for name in names])
     low, high = np.full(12 + len(names), -np.inf), np.full(12 + len(names), np.inf)
     low[12:], high[12:] = room.reshape(-1, 2).T
-    low[:12], high[:12] = displacement_bounds(start.state)
+    low[:12], high[:12] = displacement_bounds(start.state, physics.clock * observations.time_s)
 
     def evaluate(x: Array) -> tuple[Array, Array]:
         residuals, jacobian, _ = _evaluated(observations, start, x, vertices)
@@ -155,13 +162,23 @@ def fit_trajectory(
     )
 
 
-def displacement_bounds(state: State) -> tuple[Array, Array]:
-    """Bounds (12,) of a displacement of a state that the model still resolves. Frames of one instant leave velocities open, and a
-    step along them may be of any length."""
+def displacement_bounds(state: State, times_s: Array) -> tuple[Array, Array]:
+    """Bounds (12,) of a displacement of a state that the model still resolves, and that frames at times (n,) can tell. Frames of
+    one instant leave velocities open, and a step along them may be of any length.
+
+    Frames do not tell whether the die makes another MOST_TURNS between them, and it does not fly as far as MOST_MOVED_M. In a
+    throw from miles above the table, with billions of turns a second, a corner may touch at as many instants: one trial step of
+    a fit took hours."""
     high = np.full(12, np.inf)
     for first, name in ((0, "position_m"), (6, "velocity_m_s"), (9, "omega_rad_s")):
         largest = float(np.abs(getattr(state, name)).max())
         high[first : first + 3] = LARGEST_DISPLACEMENT * (MAX_STATE_COMPONENT[name] - largest)
+    intervals_s = np.diff(np.unique(times_s))
+    if len(intervals_s):
+        interval_s = float(np.median(intervals_s))
+        high[:3] = np.minimum(high[:3], MOST_AWAY_M)
+        high[6:9] = np.minimum(high[6:9], MOST_MOVED_M / interval_s)
+        high[9:] = np.minimum(high[9:], 2.0 * np.pi * MOST_TURNS / interval_s)
     return -high, high
 
 
