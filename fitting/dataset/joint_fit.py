@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from ...model.die import Die
 from ...model.laws import Table
 from ..results import Effect, Parameter
-from ..throw import INTERVAL_LEVEL, Physics
+from ..throw import INTERVAL_LEVEL, Physics, table_under
 from .data_set import DataSet, Entry, data_set_of, drawn_perturbations, evenly_spread
 from .joint_effects import EFFECTS, FIRST_CHI, START_THROWS, with_effects
 from .minimisation import Linearisation, left_out_residuals, minimised, step_of
@@ -97,15 +97,17 @@ def fit_jointly(
 ) -> JointFit:
     """The parameters that all throws share, with the effects that predict left-out throws better.
 
-    `effects` are those on trial. Without a `table` it is level and at rest, where the first track was filmed. Raises ValueError
-    for fewer than two throws.
+    `effects` are those on trial. Without a `table` it is level and at rest. Raises ValueError for fewer than two throws, and for
+    throws under different gravity.
     """
     if len(entries) < 2:
         raise ValueError(f"{len(entries)} throws with a first bounce; wanted at least two for a joint fit")
-    table = Table(gravity_m_s2=entries[0].track.gravity_m_s2) if table is None else table
+    tables = [table_under(entry.track, table) for entry in entries]
+    if len(set(tables)) > 1:
+        raise ValueError("the tracks were filmed where gravity differs; wanted throws of one place")
     steps = _Steps(progress, 3 * len(effects) + 2)
     with ThreadPoolExecutor(threads) as pool:
-        plainest = Physics(die, table, {"chi": 0.5})
+        plainest = Physics(die, tables[0], {"chi": 0.5})
         some = data_set_of([entries[k] for k in evenly_spread(len(entries), _EFFECT_THROWS)], plainest, pool)
         starts = (plainest.with_values(chi=chi) for chi in FIRST_CHI)
         best = minimised(some, min(starts, key=some.subset(START_THROWS).mean_cost))

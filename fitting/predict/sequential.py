@@ -17,7 +17,15 @@ from ...tracking.track import Track
 from ..estimation import flight_observations, normal_quantile
 from ..free import fit_flights
 from ..results import Fit, Parameter
-from ..throw import INTERVAL_LEVEL, Physics, Trajectory, extend_through_bounces, first_flight_trajectory, landing_odds
+from ..throw import (
+    INTERVAL_LEVEL,
+    Physics,
+    Trajectory,
+    extend_through_bounces,
+    first_flight_trajectory,
+    landing_odds,
+    table_under,
+)
 
 
 @dataclass(frozen=True)
@@ -42,11 +50,10 @@ def sequential_estimates(
     """
     if not fit.bounces_fitted:
         return ()
-    table = Table(gravity_m_s2=track.gravity_m_s2) if table is None else table
     free = fit_flights(flight_observations(track, measured), measured)
     first = next(k for k, flight in enumerate(free.flights) if flight is not None)
     reached = first + fit.bounces_fitted
-    beam, found = [first_flight_trajectory(free, first, physics_of_fit(fit, die, table))], []
+    beam, found = [first_flight_trajectory(free, first, physics_of_fit(fit, die, table_under(track, table)))], []
     for last in range(first + 1, reached):
         shorter = Throw(measured.flights[: last + 1], measured.impacts[:last])
         beam = extend_through_bounces(beam, shorter, free)

@@ -14,6 +14,7 @@ from .physics import CENTRE_OF_MASS as CENTRE_OF_MASS
 from .physics import COARSE as COARSE
 from .physics import Physics as Physics
 from .physics import kernel_body as kernel_body
+from .physics import table_under as table_under
 from .shooting import Trajectory as Trajectory
 from .shooting import first_flight_trajectory as first_flight_trajectory
 from .throw_fit import INTERVAL_LEVEL as INTERVAL_LEVEL

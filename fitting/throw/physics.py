@@ -39,6 +39,7 @@ from ...model.laws import (
     Table,
 )
 from ...model.throw import Propagation, State, ThrowResult, Until, body_of, checked_release, propagate, throw_die
+from ...tracking.track import Track
 from ..free import CENTRE_OF_MASS, TABLE_MOTION
 
 Array = NDArray[np.float64]
@@ -127,6 +128,18 @@ they take a fifth of the time."""
 def kernel_body(die: Die) -> engine.Body:
     """`body_of`, which takes as long as a short throw, cached for all throws of a die."""
     return body_of(die)
+
+
+def table_under(track: Track, table: Table | None) -> Table:
+    """The table over which a track was filmed: level and at rest where none is given. Raises ValueError for one that stands where
+    gravity is another."""
+    if table is None:
+        return Table(gravity_m_s2=track.gravity_m_s2)
+    if table.gravity_m_s2 != track.gravity_m_s2:
+        raise ValueError(
+            f"gravity_m_s2 = {table.gravity_m_s2:g} of the table and {track.gravity_m_s2:g} of the track; wanted the same"
+        )
+    return table
 
 
 @dataclass(frozen=True, eq=False)

@@ -167,8 +167,8 @@ def displacement_bounds(state: State, times_s: Array) -> tuple[Array, Array]:
     one instant leave velocities open, and a step along them may be of any length.
 
     Frames do not tell whether the die makes another MOST_TURNS between them, and it does not fly as far as MOST_MOVED_M. In a
-    throw from miles above the table, with billions of turns a second, a corner may touch at as many instants: one trial step of
-    a fit took hours."""
+    throw from 14 km above the table with 3e9 rad/s a corner may touch at billions of instants: one such trial step of a fit took
+    more than an hour."""
     high = np.full(12, np.inf)
     for first, name in ((0, "position_m"), (6, "velocity_m_s"), (9, "omega_rad_s")):
         largest = float(np.abs(getattr(state, name)).max())

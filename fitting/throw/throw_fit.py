@@ -35,7 +35,7 @@ from .messages import (
     restitution_messages,
     unexplained_message,
 )
-from .physics import Physics
+from .physics import Physics, table_under
 from .shooting import Trajectory, first_flight_trajectory, mean_squares, refitted, refitted_with, with_physics
 
 Array = NDArray[np.float64]
@@ -99,10 +99,10 @@ def fit_throw(
 
     `track` holds the poses of single frames (not smoothed: their errors must be independent), `measured` the flights
     and impacts found in them. What the data do not determine is None in the result, with a message.
-    Raises ValueError if the columns of the track have different lengths. Without a `table` it is level and at rest.
+    Without a `table` it is level and at rest. Raises ValueError if the columns of the track have different lengths, and for a
+    table that stands where gravity is another than the track's.
     """
-    table = Table(gravity_m_s2=track.gravity_m_s2) if table is None else table
-    fit = _fit(track, measured, Physics(die, table, {"chi": _START_CHI}), intervals)
+    fit = _fit(track, measured, Physics(die, table_under(track, table), {"chi": _START_CHI}), intervals)
     rested = resting_face(track, die)
     return fit if rested is None else replace(fit, landed_face=rested)
 

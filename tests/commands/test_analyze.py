@@ -169,7 +169,7 @@ def test_with_a_quarter_of_gravity_the_same_pictures_take_twice_the_time(folder:
     assert np.array_equal(usual.status, slow.status)
     np.testing.assert_allclose(slow.time_s, 2.0 * usual.time_s)
     both = usual.tracked
-    # A twentieth of the errors of poses.
+    # Errors along the line of sight are 25 times as large.
     assert np.linalg.norm(slow.position_m - usual.position_m, axis=1)[both].max() < 1e-6
     assert angle_between(slow.quaternion[both], usual.quaternion[both]).max() < 1e-4
     # A fit of the track does not know the errors that all frames share through the camera.

@@ -25,7 +25,7 @@ def test_every_displacement_within_the_bounds_is_a_state_that_the_model_takes(sp
 
 
 def test_no_step_leads_beyond_what_frames_can_tell() -> None:
-    """A throw from miles above the table that spins billions of times a second cannot be followed."""
+    """A throw from miles above the table that spins hundreds of millions of times a second cannot be followed."""
     state = State(0.0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.array([30.0, -20.0, 10.0]))
     low, high = displacement_bounds(state, np.array([0.0, 0.0, 0.002, 0.004, 0.008]))
     assert high[:3] == pytest.approx(100.0)

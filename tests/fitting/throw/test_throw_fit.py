@@ -19,6 +19,7 @@ from throws import (
 from diethrow.fitting.results import Fit
 from diethrow.fitting.throw.throw_fit import fit_throw
 from diethrow.model.die.die import Die, make_die
+from diethrow.model.laws import Table
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
 from diethrow.model.throw.motion import Impact, Throw
 from diethrow.tracking.track import ABSENT, LOST, Track
@@ -316,3 +317,9 @@ def test_a_throw_of_many_bounces_is_fitted_as_far_as_double_precision_carries() 
     assert any(f"explains {fit.bounces_fitted} of 12 bounces" in m and "double precision" in m for m in fit.messages)
     assert fit.chosen == ("smooth impact",)
     assert_inside(fit, "chi", 0.9, 1e-4)
+
+
+def test_a_table_and_a_track_under_different_gravity_are_refused() -> None:
+    _, track, measured = cube_throw()
+    with pytest.raises(ValueError, match=r"gravity_m_s2 = 1\.62 of the table and 9\.81 of the track"):
+        fit_throw(track, measured, CUBE, Table(gravity_m_s2=1.62))
