@@ -17,9 +17,9 @@ import numpy as np
 from footage_files import write_photron
 from numpy.typing import NDArray
 
+from diethrow.commands.model.film_truth import visibility
 from diethrow.commands.model.filmed_throw import FilmJob, scene_text, write_clip
 from diethrow.files.outputs import whole_folder
-from diethrow.files.truth import visibility
 from diethrow.model.die.die import Die, make_die
 from diethrow.model.laws import CoulombImpact, SmoothImpact
 from diethrow.model.throw.motion import State, Throw

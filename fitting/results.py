@@ -5,7 +5,8 @@ What the data do not determine is None, with a message in `Fit.messages` that sa
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,3 +79,6 @@ class Fit:
     covariance: Array | None = None
     """(12 + k, 12 + k) of `initial` and of the k free parameters in the order of `parameters`; None if no such fit was
     made."""
+    variance_shares: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    """Shares of the variance of each parameter, which add up to 1: `noise` of the frames, `calibration`, `die`, `clock`, and
+    `impact law`, what the residuals show beyond the stated errors. Empty where cameras, die and clock are exact."""

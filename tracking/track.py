@@ -20,6 +20,27 @@ ABSENT = "absent"
 
 
 @dataclass(frozen=True, eq=False)
+class SharedErrors:
+    """Errors that all frames of a clip share, because cameras, die and clock are known only so far. They are independent of each
+    other, and each counts in its own standard deviation."""
+
+    jacobian: Array
+    """(n, 6, m) change of each frame's pose [m, rad], world axes, by one standard deviation of each; NaN without a pose."""
+    sources: tuple[str, ...]
+    """(m,) what each comes from: CALIBRATION, DIE or CLOCK."""
+    subtracted: Array
+    """(m,) how much of each the poses have had subtracted [standard deviations]."""
+
+    def rows(self, which: NDArray[np.int64] | NDArray[np.bool_] | slice) -> SharedErrors:
+        """Those of some of the frames."""
+        return SharedErrors(self.jacobian[which], self.sources, self.subtracted)
+
+
+CALIBRATION, DIE, CLOCK = "calibration", "die", "clock"
+"""Sources of shared errors: cameras, the edge of the die, the frame rate."""
+
+
+@dataclass(frozen=True, eq=False)
 class Track:
     """Poses of the die in world axes, one row a frame."""
 
@@ -49,6 +70,9 @@ class Track:
     """Standard error of the contour's place common to all frames, from a corner radius that was estimated from the pictures."""
     response_sigma: float = 0.0
     """Standard deviation of the exponent of the response, grey = light ** exponent, from that with which the poses were found."""
+    shared_errors: SharedErrors | None = None
+    """Those of cameras, die and clock, which a fit of the whole throw estimates once more; None where these are exact, or where
+    they are part of `covariance`."""
     gravity_m_s2: float = GRAVITY_M_S2
     """Of the place where the die was filmed, along -z. In no file: the scene says it."""
 

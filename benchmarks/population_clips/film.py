@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from diethrow.commands.model.film_truth import write_truth
 from diethrow.commands.model.filmed_throw import scene_tables
-from diethrow.files.truth import write_truth
 
 from .draw import Draw
 from .ray_traced_die import Body, Light, render, shadow
@@ -393,7 +393,7 @@ def _write(folder: Path, frames: Iterator[NDArray[np.uint8]], draw: Draw) -> str
 
 
 def scene_text(draw: Draw, clip: str) -> str:
-    """The scene file that a user would write who knows the camera."""
+    """The scene file that a user would write who knows the camera exactly."""
     background = 'background = "background.png"\n' if draw.has_background else ""
     response = f"response = {json.dumps(draw.response)}\n" if draw.states_response else ""
     readout = f"readout_s = {draw.readout_s!r}\n" if draw.readout_s else ""
@@ -402,6 +402,7 @@ def scene_text(draw: Draw, clip: str) -> str:
 [clip]
 path = "{clip}"
 fps = {draw.fps!r}
+fps_sigma = 0.0
 exposure_s = {draw.exposure_s!r}
 {background}{readout}{response}
 {scene_tables(draw.camera, draw.surface, draw.die)}"""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ...model.rotations import cross_matrix, rotation_between
 from ...model.throw import Throw
-from ...tracking.track import Track
+from ...tracking.track import SharedErrors, Track
 
 Array = NDArray[np.float64]
 
@@ -50,6 +50,10 @@ class FlightObservations:
     """(n,) index of the measured flight that contains the frame."""
     interval_s: float
     """Between frames of the track."""
+    shared: SharedErrors | None = None
+    """Errors of these frames by cameras, die and clock; None where these are exact."""
+    shared_weight: float = 1.0
+    """Of the prior of these errors: what multiplies the covariances of a fit to these frames."""
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -63,6 +67,7 @@ class FlightObservations:
             quaternion=self.quaternion[chosen],
             whitener=self.whitener[chosen],
             flight=self.flight[chosen],
+            shared=None if self.shared is None else self.shared.rows(chosen),
         )
 
     def count(self, flight: int) -> int:
@@ -89,8 +94,9 @@ def flight_observations(track: Track, measured: Throw) -> FlightObservations:
     times = track.time_s[usable]
     flights = measured.flights_at(times)
     weights = whiteners(track.covariance[usable])
+    shared = None if track.shared_errors is None else track.shared_errors.rows(usable)
     usable_frames = FlightObservations(
-        times, track.position_m[usable], track.quaternion[usable], weights, flights, interval
+        times, track.position_m[usable], track.quaternion[usable], weights, flights, interval, shared
     )
     return usable_frames.where(np.argsort(times, kind="stable"))
 

@@ -42,11 +42,18 @@ def bootstrap_intervals(
 
 
 def _redrawn(trajectory: Trajectory, residuals: Array, length: int, rng: np.random.Generator) -> FlightObservations:
-    """The frames of a trajectory with errors drawn from its residuals, in blocks of `length` frames."""
+    """The frames of a trajectory with errors drawn from its residuals, in blocks of `length` frames, and with shared errors drawn
+    from what is known of them."""
     n = len(residuals)
     first = rng.integers(0, n, size=n // length + 1)
     rows = ((first[:, None] + np.arange(length)) % n).ravel()[:n]
     errors = np.linalg.solve(trajectory.observations.whitener, residuals[rows][:, :, None])[:, :, 0]
+    shared = trajectory.observations.shared
+    if shared is not None:
+        errors = errors + shared.jacobian @ rng.standard_normal(len(shared.sources))
+        shared = replace(shared, subtracted=np.zeros(len(shared.sources)))
     modelled = model_poses(trajectory.physics, trajectory.state, trajectory.observations.time_s, trajectory.vertices)
     turned = quat_multiply(quat_from_rotvec(errors[:, 3:]), modelled.quaternions)
-    return replace(trajectory.observations, position_m=modelled.positions_m + errors[:, :3], quaternion=turned)
+    return replace(
+        trajectory.observations, position_m=modelled.positions_m + errors[:, :3], quaternion=turned, shared=shared
+    )

@@ -249,7 +249,8 @@ def left_out_costs(trajectory: Trajectory, k2: float) -> Array:
     With H the hat matrix of a linear fit, the residuals of a block left out are (1 - H_bb)⁻¹ r_b (Cook & Weisberg,
     Residuals and Influence in Regression, 1982, Sec. 3.2).
     """
-    residuals, jacobian = linearised(trajectory)
+    found = linearised(trajectory, k2)
+    residuals, jacobian = found.of_frames, found.by_frames
     q = orthonormal_basis(jacobian.reshape(-1, jacobian.shape[2]), trajectory.root).reshape(len(residuals), 6, -1)
     costs = []
     for rows in _blocks(trajectory):

@@ -292,7 +292,7 @@ def friction_alternatives(
     are not clearly beaten, the best trajectory of each.
     """
     kinds = [replace(trajectory, physics=kind) for kind in trajectory.physics.with_other_restitutions()]
-    if all(_same_residuals(kind, trajectory) for kind in kinds):
+    if all(_same_residuals(kind, trajectory, free) for kind in kinds):
         return [trajectory]
     k2 = free.huber_threshold
     found = {kind: [_with_restitution(kind, trajectory, k2)] for kind in RESTITUTIONS}
@@ -329,8 +329,9 @@ def _from_other_friction(kind: Restitution, trajectory: Trajectory, free: FreeFl
     return [refitted(start, free.huber_threshold) for start in starts]
 
 
-def _same_residuals(other: Trajectory, trajectory: Trajectory) -> bool:
+def _same_residuals(other: Trajectory, trajectory: Trajectory, free: FreeFlights) -> bool:
     """Whether another definition of restitution makes no difference to the residuals."""
     if other.physics.restitution == trajectory.physics.restitution:
         return True
-    return bool(np.abs(linearised(other)[0] - trajectory.residuals).max() < _NEGLIGIBLE_RESIDUAL)
+    residuals = linearised(other, free.huber_threshold).of_frames
+    return bool(np.abs(residuals - trajectory.residuals).max() < _NEGLIGIBLE_RESIDUAL)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -17,6 +17,16 @@ _NOTABLE_VARIANCE = 1.5
 
 _NOTABLE_INFLATION = 1.2
 """Variance or correlation time from which a message states that sigmas were scaled up: by a tenth."""
+
+_NOTABLE_SHARE = 0.01
+"""Share of the variance of chi from which a message states where it comes from."""
+
+_SOURCES = {
+    "calibration": "the calibration of the camera",
+    "die": "the edge of the die",
+    "clock": "the frame rate",
+}
+"""Sources of errors that all frames share, in words."""
 
 _DEFINITIONS = {
     "stronge": "energies (Stronge)",
@@ -44,6 +54,22 @@ def frame_messages(free: FreeFlights) -> list[str]:
             f"Within free flights the frames scatter {np.sqrt(free.variance):.2f} times as much as their sigmas state."
         )
     return messages
+
+
+def shared_error_messages(shares: Mapping[str, Mapping[str, float]], widening: float) -> list[str]:
+    """What share of the variance of chi comes from errors that all frames share, and how many times its interval is as wide as if
+    there were none."""
+    of_chi = shares.get("chi", {})
+    notable = [
+        (of_chi[source], words) for source, words in _SOURCES.items() if of_chi.get(source, 0.0) >= _NOTABLE_SHARE
+    ]
+    if not notable:
+        return []
+    listed = " and ".join(f"{100.0 * share:.0f} % from {words}" for share, words in sorted(notable, reverse=True))
+    return [
+        f"Of the variance of chi, {listed}. Its interval contains how well these are known; if they were exact it would be "
+        f"{widening:.2g} times narrower."
+    ]
 
 
 def bounce_messages(

@@ -7,7 +7,7 @@ information of the previous fit (`least_squares`), and the loss is one that bad 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from ..estimation import (
 )
 from ..free import FreeFlights
 from .physics import Physics, model_poses
+from .shared_errors import FrameResiduals, without_shared_errors
 
 Array = NDArray[np.float64]
 
@@ -69,11 +70,13 @@ class Trajectory:
     """The last measured flight whose frames are in the fit."""
     observations: FlightObservations
     residuals: Array
-    """(n, 6) whitened."""
+    """(n, 6) whitened, without the errors that the frames share."""
     root: Array
     """(12 + k, 12 + k) upper triangular T, Tᵀ T the information on state and free parameters."""
     propagation: Propagation
     """The throw, on the true clock."""
+    shared: Array = field(default_factory=lambda: np.zeros(0))
+    """(m,) the shared errors, `FrameResiduals.of_prior`; none where cameras, die and clock are exact."""
 
     @property
     def throw(self) -> Throw:
@@ -115,9 +118,9 @@ class Trajectory:
         return float(np.finfo(float).eps * np.linalg.norm(self.root * np.concatenate([*state, values]), axis=0).max())
 
     def cost(self, k2: float) -> float:
-        """Σ ρ over the frames; `k2` as in `least_squares.huber`."""
+        """Σ ρ over the frames, and the squares of what they share; `k2` as in `least_squares.huber`."""
         scaled, _ = huber(self.residuals, np.empty((len(self.residuals), 6, 0)), k2)
-        return float((scaled**2).sum())
+        return float((scaled**2).sum() + (self.shared**2).sum())
 
 
 def fit_trajectory(
@@ -140,25 +143,27 @@ def fit_trajectory(
     low[:12], high[:12] = displacement_bounds(start.state, physics.clock * observations.time_s)
 
     def evaluate(x: Array) -> tuple[Array, Array]:
-        residuals, jacobian, _ = _evaluated(observations, start, x, vertices)
+        found, _ = _evaluated(observations, start, x, vertices, k2)
+        residuals, jacobian = huber(found.of_frames, found.by_frames, k2)
+        jacobian = np.concatenate([jacobian.reshape(-1, jacobian.shape[2]), found.by_prior])
         # The derivative is by a rotation about the displaced orientation, the unknown one about the orientation of `start`.
-        jacobian[:, :, 3:6] = jacobian[:, :, 3:6] @ left_jacobians(x[None, 3:6])[0]
-        residuals, jacobian = huber(residuals, jacobian, k2)
-        return residuals.ravel(), jacobian.reshape(-1, jacobian.shape[2])
+        jacobian[:, 3:6] = jacobian[:, 3:6] @ left_jacobians(x[None, 3:6])[0]
+        return np.append(residuals.ravel(), found.of_prior), jacobian
 
     hopeless = _HOPELESS * k2 * len(observations)
     x = levenberg_marquardt(evaluate, start.root, low, high, tolerance=tolerance, hopeless=hopeless)
-    residuals, jacobian, propagation = _evaluated(observations, start, x, vertices)
-    _, scaled = huber(residuals, jacobian, k2)
+    found, propagation = _evaluated(observations, start, x, vertices, k2)
+    _, scaled = huber(found.of_frames, found.by_frames, k2)
     return replace(
         start,
         state=perturbed(start.state, x[:12]),
         physics=physics.moved(x[12:]),
         vertices=vertices,
         observations=observations,
-        residuals=residuals,
-        root=_information_root(scaled, physics),
+        residuals=found.of_frames,
+        root=_information_root(scaled, found.by_prior, physics),
         propagation=propagation,
+        shared=found.of_prior,
     )
 
 
@@ -194,22 +199,38 @@ def refitted_with(
     return refitted(with_physics(trajectory, physics, k2), k2, tolerance=tolerance)
 
 
+def weighted_as_inflated(trajectory: Trajectory, k2: float) -> Trajectory:
+    """The trajectory with the prior of shared errors as it counts where `inflation` multiplies the covariance of everything else:
+    fitted again. Unchanged where frames share no error."""
+    if trajectory.observations.shared is None:
+        return trajectory
+    variance, tau = trajectory.inflation
+    weighted = replace(trajectory.observations, shared_weight=variance * tau)
+    return fit_trajectory(weighted, trajectory, trajectory.vertices, k2)
+
+
+def if_known_exactly(trajectory: Trajectory, k2: float) -> Trajectory:
+    """The trajectory with the information that its frames would have if cameras, die and clock were exact."""
+    exact = replace(trajectory.observations, shared=None)
+    return with_physics(replace(trajectory, observations=exact), trajectory.physics, k2)
+
+
 def _evaluated(
-    observations: FlightObservations, start: Trajectory, x: Array, vertices: tuple[int, ...]
-) -> tuple[Array, Array, Propagation]:
-    """Whitened residuals (n, 6), their derivative (n, 6, 12 + k) at the displaced start, and the throw."""
+    observations: FlightObservations, start: Trajectory, x: Array, vertices: tuple[int, ...], k2: float
+) -> tuple[FrameResiduals, Propagation]:
+    """The residuals of the frames with their derivative by 12 + k unknowns at the displaced start, and the throw."""
     state, physics = perturbed(start.state, x[:12]), start.physics.moved(x[12:])
     modelled = model_poses(physics, state, observations.time_s, vertices)
     errors = pose_errors(observations, modelled.positions_m, modelled.quaternions)
     jacobian = whitened_jacobian(observations, errors, modelled.jacobian)
-    return whitened(observations, errors), jacobian, modelled.propagation
+    found = without_shared_errors(observations, whitened(observations, errors), jacobian, k2)
+    return found, modelled.propagation
 
 
-def linearised(trajectory: Trajectory) -> tuple[Array, Array]:
-    """Whitened residuals (n, 6) of a trajectory and their derivative (n, 6, 12 + k)."""
+def linearised(trajectory: Trajectory, k2: float) -> FrameResiduals:
+    """The residuals of a trajectory and their derivative by its 12 + k unknowns."""
     here = np.zeros(12 + len(trajectory.physics.free))
-    residuals, jacobian, _ = _evaluated(trajectory.observations, trajectory, here, trajectory.vertices)
-    return residuals, jacobian
+    return _evaluated(trajectory.observations, trajectory, here, trajectory.vertices, k2)[0]
 
 
 def with_physics(trajectory: Trajectory, physics: Physics, k2: float) -> Trajectory:
@@ -219,15 +240,17 @@ def with_physics(trajectory: Trajectory, physics: Physics, k2: float) -> Traject
 
 def linearised_with(trajectory: Trajectory, physics: Physics, k2: float) -> tuple[Trajectory, Array, Array]:
     """`with_physics`, and the residuals (n, 6) of the robust loss with their derivative (n, 6, 12 + k)."""
-    residuals, jacobian = linearised(replace(trajectory, physics=physics))
-    scaled, slopes = huber(residuals, jacobian, k2)
-    root = _information_root(slopes, physics)
-    return replace(trajectory, physics=physics, residuals=residuals, root=root), scaled, slopes
+    found = linearised(replace(trajectory, physics=physics), k2)
+    scaled, slopes = huber(found.of_frames, found.by_frames, k2)
+    root = _information_root(slopes, found.by_prior, physics)
+    fitted = replace(trajectory, physics=physics, residuals=found.of_frames, root=root, shared=found.of_prior)
+    return fitted, scaled, slopes
 
 
-def _information_root(jacobian: Array, physics: Physics) -> Array:
-    """Upper triangular T (12 + k, 12 + k) with Tᵀ T = Jᵀ J, of J (n, 6, 12 + k); first scales where J has no information."""
-    root = triangular_factor(jacobian.reshape(-1, jacobian.shape[2]))
+def _information_root(by_frames: Array, by_prior: Array, physics: Physics) -> Array:
+    """Upper triangular T (12 + k, 12 + k) with Tᵀ T = Jᵀ J, of J (n, 6, 12 + k) of the frames and (m, 12 + k) of the prior; first
+    scales where J has no information."""
+    root = triangular_factor(np.concatenate([by_frames.reshape(-1, by_frames.shape[2]), by_prior]))
     for k, name in enumerate(physics.free, start=12):
         smallest = 1.0 / first_sigma(physics, name)
         if root[k, k] < _NO_INFORMATION * smallest:

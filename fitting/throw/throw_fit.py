@@ -33,10 +33,22 @@ from .messages import (
     inflation_messages,
     ratio_message,
     restitution_messages,
+    shared_error_messages,
     unexplained_message,
 )
 from .physics import Physics, table_under
-from .shooting import Trajectory, first_flight_trajectory, mean_squares, refitted, refitted_with, with_physics
+from .shared_errors import variance_shares
+from .shooting import (
+    Trajectory,
+    first_flight_trajectory,
+    if_known_exactly,
+    linearised,
+    mean_squares,
+    refitted,
+    refitted_with,
+    weighted_as_inflated,
+    with_physics,
+)
 
 Array = NDArray[np.float64]
 
@@ -221,7 +233,8 @@ def _result_with_bounces(
     messages: list[str],
 ) -> Fit:
     """The result of a fit through one bounce or more."""
-    best = trajectories[0]
+    alternatives = [weighted_as_inflated(one, task.free.huber_threshold) for one in alternatives]
+    best = trajectories[0] = alternatives[0]
     total, explained = len(task.measured.impacts) - task.first, best.reached - task.first
     beside = task.frames_beside(best.reached) if explained < total else ""
     messages += bounce_messages(trajectories, task.free, (explained, total), beside)
@@ -230,6 +243,10 @@ def _result_with_bounces(
     messages += restitution_messages(alternatives)
     parameters = _parameters(alternatives, task, variance * tau, messages)
     covariance = best.inflated_covariance
+    shares = _variance_shares(best, tuple(parameters), task.free.huber_threshold, tau * variance)
+    if shares:
+        exact = if_known_exactly(best, task.free.huber_threshold).covariance
+        messages += shared_error_messages(shares, float(np.sqrt(best.covariance[12, 12] / exact[12, 12])))
     throw = as_tracked(best.physics, continued(best.physics, best.throw, float(task.track.time_s[-1])))
     face, odds, landing_messages = landing_odds(best.physics, best.state, covariance, best.vertices)
     return Fit(
@@ -246,6 +263,7 @@ def _result_with_bounces(
         throw=throw,
         restitution=best.physics.restitution,
         covariance=covariance,
+        variance_shares=shares,
     )
 
 
@@ -329,6 +347,20 @@ def _parameters(alternatives: list[Trajectory], task: _Task, scale: float, messa
             messages.append(
                 f"{name} cannot be determined: every value from {bounds[0]:g} to {bounds[1]:g} agrees with the frames."
             )
+    return found
+
+
+def _variance_shares(
+    best: Trajectory, names: tuple[str, ...], k2: float, inflation: float
+) -> dict[str, dict[str, float]]:
+    """What each parameter's variance comes from: the stated errors of the frames (`noise`), the sources of shared errors, and
+    what the residuals show beyond all of these (`impact law`). Empty where frames share no error."""
+    by_source = variance_shares(best.observations, linearised(best, k2), best.covariance)
+    found = {}
+    for k, name in enumerate(names, start=12) if by_source else ():
+        own = {source: float(shares[k]) for source, shares in by_source.items()}
+        frames = max(0.0, 1.0 - sum(own.values()))
+        found[name] = {"noise": frames / inflation, **own, "impact law": frames * (1.0 - 1.0 / inflation)}
     return found
 
 

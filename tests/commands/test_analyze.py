@@ -172,17 +172,71 @@ def test_with_a_quarter_of_gravity_the_same_pictures_take_twice_the_time(folder:
     # Errors along the line of sight are 25 times as large.
     assert np.linalg.norm(slow.position_m - usual.position_m, axis=1)[both].max() < 1e-6
     assert angle_between(slow.quaternion[both], usual.quaternion[both]).max() < 1e-4
-    # A fit of the track does not know the errors that all frames share through the camera.
-    for name, instant_s in (("out", 1e-6), ("fitted", 1e-5)):
+    for name in ("out", "fitted"):
         chi, again = (read_fit(path / "fit.json").parameters["chi"] for path in (folder, tmp_path / name))
         assert again.value == pytest.approx(chi.value, abs=1e-4)
         assert again.low == pytest.approx(chi.low, abs=5e-4)
         assert again.high == pytest.approx(chi.high, abs=5e-4)
         here, there = (read_bounces(path / "bounces.csv") for path in (folder, tmp_path / name))
         for one, other in zip(here, there, strict=True):
-            assert other.time_s == pytest.approx(2.0 * one.time_s, abs=instant_s)
+            assert other.time_s == pytest.approx(2.0 * one.time_s, abs=1e-6)
             assert other.energy_before_J == pytest.approx(0.25 * one.energy_before_J, rel=1e-3)
             assert other.energy_after_J == pytest.approx(0.25 * one.energy_after_J, rel=1e-3)
+
+
+def test_a_fit_of_the_tracked_frames_is_that_of_the_analysis(folder: Path, tmp_path: Path) -> None:
+    """With a camera that is known only so far, and faces whose numbers only the pictures show."""
+    scene = tmp_path / "scene.toml"
+    known = {'calibration = "exact"\n': "", "edge_sigma_m = 0.0\n": "", "fps_sigma = 0.0\n": ""}
+    text = SCENE.read_text()
+    for stated, nothing in known.items():
+        text = text.replace(stated, nothing)
+    scene.write_text(text)
+    for name in ("clip.mp4", "background.png"):
+        (tmp_path / name).symlink_to(SCENE.parent / name)
+    frames = tmp_path / "out" / "track_frames.csv"
+    for name, command in {
+        "out": ["analyze", str(scene), "--quality", "fast"],
+        "fitted": ["fit", str(frames), "--scene", str(scene)],
+    }.items():
+        result = CliRunner().invoke(app, [*command, "--out", str(tmp_path / name)])
+        assert result.exit_code == 0, result.stderr
+    for file in ("fit.json", "bounces.csv", "simulated.csv"):
+        assert (tmp_path / "out" / file).read_bytes() == (tmp_path / "fitted" / file).read_bytes()
+    usual, exact = read_fit(tmp_path / "out" / "fit.json"), read_fit(folder / "fit.json")
+    assert any("Assumed" in message and "camera.calibration" in message for message in usual.messages)
+    assert not any("Assumed" in message for message in exact.messages)
+    assert sum(usual.variance_shares["chi"].values()) == pytest.approx(1.0)
+    assert not exact.variance_shares
+    wide, narrow = (one.parameters["chi"] for one in (usual, exact))
+    assert wide.high - wide.low > narrow.high - narrow.low
+    assert wide.low <= CHI <= wide.high
+
+
+def test_what_lies_beside_a_track_belongs_to_it(folder: Path, tmp_path: Path) -> None:
+    for name in ("track_frames.csv", "track_frames_covariance.npy"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    stored = tmp_path / "track_frames_throw.npz"
+    command = ["fit", str(tmp_path / "track_frames.csv"), "--scene", str(SCENE), "--out", str(tmp_path / "fit")]
+    whole = (folder / stored.name).read_bytes()
+    with np.load(folder / stored.name) as data:
+        fewer = {name: data[name] for name in data.files}
+    fewer["frame"] = fewer["frame"][1:]
+    for damage in ("cut", "of another track", "no archive"):
+        if damage == "of another track":
+            np.savez(stored, **fewer)
+        else:
+            stored.write_bytes(whole[: len(whole) // 2] if damage == "cut" else b"no archive")
+        result = CliRunner().invoke(app, command)
+        assert result.exit_code == 1, damage
+        assert "track_frames_throw.npz" in result.stderr
+        assert "to fit the table alone" in result.stderr
+        assert "Traceback" not in result.stderr
+        assert not (tmp_path / "fit").exists()
+    stored.unlink()
+    assert CliRunner().invoke(app, command).exit_code == 0
+    chi = read_fit(tmp_path / "fit" / "fit.json").parameters["chi"]
+    assert chi.low <= CHI <= chi.high
 
 
 def test_the_models_track_lies_on_the_measured_one(folder: Path) -> None:

@@ -13,7 +13,7 @@ from command_line import invoke
 from footage_files import write_cine
 from pictures_of_boards import CHARUCO_BOARD, MATRIX, on_table, picture, poses, table_pose_of
 
-from diethrow.files.scene import read_scene
+from diethrow.files.scene import SceneError, read_scene
 
 OPTIONS = ("--square-mm", "10", "--marker-mm", "7.5")
 
@@ -62,6 +62,24 @@ def test_the_written_camera_is_that_of_the_pictures_and_fits_a_scene(pictures: l
     assert np.sqrt(C[0, 0]) == pytest.approx(sigma)
     assert np.sqrt(C[-1, -1]) == pytest.approx(1e-3)
     assert (np.linalg.eigvalsh(C / np.sqrt(np.outer(np.diag(C), np.diag(C)))) > 0.0).all()
+    (tmp_path / "calibration.json").write_bytes((out / "calibration.json").read_bytes())
+    text = scene.read_text()
+    assert '# calibration = "calibration.json"' in text
+    scene.write_text(text.replace("# calibration", "calibration"))
+    known = read_scene(scene).known_errors(None)
+    assert np.sqrt(known.covariances[0][0, 0]) == pytest.approx(sigma)
+    # The pose is the last but the scale of the board, which the camera's place contains.
+    np.testing.assert_allclose(known.covariances[0][9:, 9:], C[-7:-1, -7:-1])
+    for change, message in (
+        (lambda other: other["intrinsics"]["fx"].update(value=1.0), "another matrix"),
+        (lambda other: other["table"].update(translation_m=[0.0, 0.0, 1.0]), "at another place"),
+        (lambda other: other.update(covariance=[[1.0]]), r"shape \(1, 1\)"),
+    ):
+        other = json.loads((out / "calibration.json").read_text())
+        change(other)
+        (tmp_path / "calibration.json").write_text(json.dumps(other))
+        with pytest.raises(SceneError, match=message):
+            read_scene(scene)
     page = (out / "calibration.html").read_text()
     assert "://" not in page.replace("http://www.w3.org", "")
 

@@ -14,10 +14,10 @@ from film_studio import with_mitsuba
 
 from diethrow.commands.clip.footage import open_footage
 from diethrow.commands.model.film_settings import FilmSettings
+from diethrow.commands.model.film_truth import visibility
 from diethrow.commands.model.filmed_throw import camera_for, film_job, recorded, scene_text
 from diethrow.files.plan import read_plan
 from diethrow.files.scene import read_scene
-from diethrow.files.truth import visibility
 from diethrow.tracking.footage.background import load_background
 from diethrow.tracking.footage.response import light_table
 

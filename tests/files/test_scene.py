@@ -49,6 +49,37 @@ MISTAKES = {
         ["clip.readout_s", "-0.0001", "0 or more"],
     ),
     "readout of text": ("fps = 1500.0", 'fps = 1500.0\nreadout_s = "slow"', ["clip.readout_s", '"slow"', "0 or more"]),
+    "calibration that is not there": (
+        "[0.0, 0.02, 0.6]",
+        '[0.0, 0.02, 0.6]\ncalibration = "c.json"',
+        ["camera.calibration", "c.json", "does not exist", "diethrow calibrate"],
+    ),
+    "calibration of a number": (
+        "[0.0, 0.02, 0.6]",
+        "[0.0, 0.02, 0.6]\ncalibration = 0.001",
+        ["camera.calibration", "0.001", '"exact"'],
+    ),
+    "calibration that is no record": (
+        "[0.0, 0.02, 0.6]",
+        '[0.0, 0.02, 0.6]\ncalibration = "clip.avi"',
+        ["camera.calibration", "clip.avi", "no record of a calibration", '"exact"'],
+    ),
+    "edge known to millimetres": (
+        "edge_m = 0.016",
+        "edge_m = 0.016\nedge_sigma_m = 0.01",
+        ["die.edge_sigma_m = 0.01", "metres", "tenth of edge_m"],
+    ),
+    "edge known to less than nothing": (
+        "edge_m = 0.016",
+        "edge_m = 0.016\nedge_sigma_m = -1e-5",
+        ["die.edge_sigma_m", "0 or more"],
+    ),
+    "rate hardly known": (
+        "fps = 1500.0",
+        "fps = 1500.0\nfps_sigma = 1500.0",
+        ["clip.fps_sigma = 1500", "tenth of fps"],
+    ),
+    "rate known to a word": ("fps = 1500.0", 'fps = 1500.0\nfps_sigma = "well"', ["clip.fps_sigma", "0 or more"]),
     "camera in millimetres": ("[0.0, 0.02, 0.6]", "[0, 20, 600]", ["translation_m", "metres", "[0, 0.02, 0.6]?"]),
     "gravity in centimetres": (
         "[table]",
@@ -340,3 +371,29 @@ def test_a_file_too_large_for_a_scene_is_not_read(folder: Path) -> None:
         file.truncate(2**40)  # a hole: a terabyte on no disk
     with pytest.raises(SceneError, match="1099511627776 bytes"):
         read_scene(path)
+
+
+def test_how_well_a_scene_is_known_is_stated_or_that_of_a_careful_laboratory(folder: Path) -> None:
+    usual = read_scene(scene_file(folder))
+    known = usual.known_errors(1.0 / 1500.0)
+    assert known.edge_share == pytest.approx(1e-3)
+    assert known.clock_share == pytest.approx(1e-5)
+    sigmas = np.sqrt(np.diag(known.covariances[0]))
+    # 0.1 % of the focal length, 0.5 px of the centre, no distortion, 0.05 degrees and 0.3 mm.
+    wanted = [2.7, 2.7, 0.5, 0.5, *[0.0] * 5, *[np.radians(0.05)] * 3, *[3e-4] * 3]
+    np.testing.assert_allclose(sigmas, wanted, rtol=1e-9)
+    (sentence,) = usual.assumptions
+    for words in ("0.1 %", "0.5 px", "0.05 degrees", "0.3 mm", "camera.calibration", "die.edge_sigma_m"):
+        assert words in sentence
+    text = SCENE.replace("fps = 1500.0", "fps = 1500.0\nfps_sigma = 0.3").replace(
+        "edge_m = 0.016", "edge_m = 0.016\nedge_sigma_m = 0.00004"
+    )
+    stated = read_scene(scene_file(folder, text.replace("[0.0, 0.02, 0.6]", '[0.0, 0.02, 0.6]\ncalibration = "exact"')))
+    known = stated.known_errors(1.0 / 1500.0)
+    assert known.edge_share == pytest.approx(0.0025)
+    assert known.clock_share == pytest.approx(2e-4)
+    assert not known.covariances[0].any()
+    assert stated.assumptions == ()
+    exact = usual.known_exactly()
+    assert exact.known_errors(1.0 / 1500.0).is_exact
+    assert exact.assumptions == ()

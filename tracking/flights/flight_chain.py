@@ -138,8 +138,8 @@ class FlightChain:
     errors: ErrorModel
     shared: Array
     """(m,) the errors that all frames share."""
-    shared_sigma: Array
-    """(m,) their standard errors."""
+    shared_covariance: Array
+    """(m, m) of these errors."""
     impact_chi2: Array
     """(N,) squared sigmas of the four conditions of each vertex impact; 0 for other links."""
     table_m: float
@@ -147,6 +147,11 @@ class FlightChain:
     cost: float
     """Squared sigmas of frames (Tukey's loss, at most 2 CUTOFF_SIGMAS² a frame), priors and impacts: comparable between fits of
     the same frames with one error model."""
+
+    @property
+    def shared_sigma(self) -> Array:
+        """(m,) standard errors of the shared errors."""
+        return np.asarray(np.sqrt(np.diag(self.shared_covariance)))
 
     @property
     def contour_sigma_px(self) -> float:
@@ -549,10 +554,10 @@ class _Unknowns:
         squares, impact_chi2 = trajectory.squares(self.errors), np.zeros(count)
         impact_chi2[self.vertex_impacts.link] = (trajectory.impacts.violation**2).sum(1)
         links = tuple(replace(link, time_s=float(t)) for link, t in zip(self.links, self.times_s, strict=True))
-        shared_sigma = np.sqrt(np.diag(last)[12 : 12 + len(self.shared)])
+        shared = slice(12, 12 + len(self.shared))
         return FlightChain(
             self._flights(trajectory.states, covariances), links, sigma_time_s, joint_covariance, np.sqrt(squares), weights,
-            self.errors, self.shared, shared_sigma, impact_chi2, self.table_m, self.robust_cost(trajectory),
+            self.errors, self.shared, last[shared, shared], impact_chi2, self.table_m, self.robust_cost(trajectory),
         )  # fmt: skip
 
     def _flights(self, states: Array, covariances: Sequence[Array]) -> tuple[Flight, ...]:

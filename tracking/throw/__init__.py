@@ -2,11 +2,22 @@
 
 Flights are proposed in two ways: a track is segmented wherever its motion changes (`flight_segmentation`), and followed from one
 contact to the next (`contact_search`). `contacts` fits each proposal as a chain of `flights`, decides which contacts are real
-(`contact_clusters`: those within a few frames), and which proposal explains the frames better. The errors common to all frames
-are estimated on the way (`shared_bias`), and the end during which the table supports the die is set aside (`rest`). `measure`
-returns all of that; `measure_throw` the throw alone. Tracking uses these flights to refine poses and to calibrate covariances
-(`with_calibrated_covariance`), commands to smooth the track (`smoothing`), fitting as measured throws."""
+(`contact_clusters`: those within a few frames), and which proposal explains the frames better. The errors common to all
+frames are estimated on the way (`shared_bias`; those of cameras, die and clock: `calibration_errors`), and the end during which
+the table supports the die is set aside (`rest`). `measure` returns all of that; `measure_throw` the throw alone. Tracking uses
+these flights to refine poses and to calibrate covariances (`with_calibrated_covariance`), commands to smooth the track
+(`smoothing`), fitting as measured throws."""
 
+from .calibration_errors import CAMERA_ERRORS as CAMERA_ERRORS
+from .calibration_errors import CENTRE_SIGMA_PX as CENTRE_SIGMA_PX
+from .calibration_errors import CLOCK_SHARE as CLOCK_SHARE
+from .calibration_errors import EDGE_SHARE as EDGE_SHARE
+from .calibration_errors import EXACT as EXACT
+from .calibration_errors import FOCAL_SHARE as FOCAL_SHARE
+from .calibration_errors import PLACE_SIGMA_M as PLACE_SIGMA_M
+from .calibration_errors import TURN_SIGMA_RAD as TURN_SIGMA_RAD
+from .calibration_errors import CalibrationErrors as CalibrationErrors
+from .calibration_errors import usual_covariance as usual_covariance
 from .flight_segmentation import ENOUGH_FRAMES as ENOUGH_FRAMES
 from .flight_segmentation import SMALL_MOVE_REACH as SMALL_MOVE_REACH
 from .flight_segmentation import SMALL_TURN_RAD as SMALL_TURN_RAD
@@ -34,3 +45,4 @@ from .shared_bias import outline_growth as outline_growth
 from .shared_bias import placement_covariances as placement_covariances
 from .shared_bias import shared_bias_jacobian as shared_bias_jacobian
 from .shared_bias import without_shared_bias as without_shared_bias
+from .smoothing import smooth as smooth

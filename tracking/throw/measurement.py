@@ -19,6 +19,7 @@ from ..camera import Camera
 from ..covariance import covariance_root
 from ..flights import TABLE_SIGMA_M, FlightChain, Link, WeightedPoses, rms_residuals
 from ..track import Track
+from .calibration_errors import EXACT, CalibrationErrors, CalibrationEstimate, shared_errors
 from .contact_clusters import instant_limit_s
 from .contact_search import ContactSearch, follow_contacts, white_errors
 from .contacts import (
@@ -93,17 +94,24 @@ class MeasuredThrow:
     throw_without_shared_errors: Throw
     """The throw with covariances that do not contain these."""
     die: Die
+    calibration: CalibrationEstimate
+    """What the throw shows of the errors of cameras, die and clock; the covariances of flights contain what it leaves open."""
 
     @property
     def independent_frames(self) -> Track:
         """`frames_on_table` with covariances for a fit that takes frames as independent: a mean over a flight then has its true
-        uncertainty. What a model is fitted to."""
-        return _independent(self.frames_on_table, self.throw, self.chain, self.shared_covariance)
+        uncertainty. What a model is fitted to, together with the errors of cameras, die and clock."""
+        independent = _independent(self.frames_on_table, self.throw, self.chain, self.shared_covariance)
+        errors = self.calibration.errors
+        return replace(independent, shared_errors=errors) if errors.sources else independent
 
     @property
     def smoothed_frames(self) -> Track:
         """`frames_on_table` with the poses in flight smoothed by the motion, and covariances that contain the shared errors."""
-        return smooth(self.frames_on_table, self.throw_without_shared_errors, self.shared_covariance, self.unexplained)
+        frames = self.calibration.at_frames(self.frames_on_table)
+        frames = replace(frames, covariance=frames.covariance + self.calibration.pose_covariances)
+        smoothed = smooth(frames, self.throw_without_shared_errors, self.shared_covariance, self.unexplained)
+        return replace(smoothed, time_s=self.frames_on_table.time_s)
 
     @property
     def residual_sigmas(self) -> Array:
@@ -157,26 +165,35 @@ class MeasuredThrow:
         return bool((heights < TABLE_REACH * self.die.solid.edge_m).any())
 
 
-def measure_throw(track: Track, die: Die, camera: Camera | None = None, *, every: int = 1) -> Throw:
+def measure_throw(
+    track: Track, die: Die, camera: Camera | None = None, *, known: CalibrationErrors | None = None, every: int = 1
+) -> Throw:
     """Flights with covariance and impacts with their uncertainty, from the poses of single frames.
 
-    With the camera, the errors that all poses share are estimated. What follows the last flight, where the die rolls or rests, is
+    With the camera, the errors that all poses share are estimated, those of a calibration that is `known` only so far among them;
+    without `known` cameras, die and clock are exact. What follows the last flight, where the die rolls or rests, is
     an impact `held` and a flight without covariance (`SupportedMotion`). The flights are fitted to one in `every` tracked frames.
     Raises NoFlightError if fewer than three of those in a row are tracked."""
-    return measure(track, die, camera, every=every).throw
+    return measure(track, die, camera, known=known, every=every).throw
 
 
-def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int = 1) -> MeasuredThrow:
+def measure(
+    track: Track, die: Die, camera: Camera | None = None, *, known: CalibrationErrors | None = None, every: int = 1
+) -> MeasuredThrow:
     """As `measure_throw`, with what was estimated of all frames."""
     use = _usable_rows(track, die, every)
-    bias_jacobian = np.zeros((len(track), 6, 0))
+    bias_jacobian = unknown = np.zeros((len(track), 6, 0))
     observations = weighted_poses(track, use, UNMODELLED_SHARE)
     prior = sigma = undetermined = np.zeros(0)
+    known = EXACT if known is None or camera is None else known
+    calibration = shared_errors(known, track, die)
     if camera is not None:
         bias_jacobian = shared_bias_jacobian(track, camera, die)
         sigma, undetermined = shared_bias_sigma(track, camera, die), undetermined_bias_sigma(track, camera, die)
         count = determined_count(track)
-        observations, prior = observations.with_bias_jacobian(bias_jacobian[use, :, :count]), sigma[:count]
+        unknown = np.concatenate([bias_jacobian[:, :, :count], calibration.jacobian], axis=2)
+        prior = np.append(sigma[:count], np.ones(len(calibration.sources)))
+        observations = observations.with_bias_jacobian(unknown[use])
     # The test for free fall uses calibrated covariances if there are any: unlike the fits, it estimates no error model.
     stated = (
         observations
@@ -196,7 +213,11 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
     in_flight = use[:flying]
     believed = _believed(track.time_s[in_flight], track.quaternion[in_flight], chain)
     shared = chain.shared if believed.any() else np.zeros_like(chain.shared)
-    straight = without_shared_bias(track, bias_jacobian[:, :, : len(shared)], shared)
+    own = slice(len(prior) - len(calibration.sources), None)
+    shown = shared[own] if believed.any() else shared[:0]
+    estimate = CalibrationEstimate.of(calibration, known, shown, chain.shared_covariance[own, own])
+    subtracted = np.append(shared[: own.start], estimate.errors.subtracted)[: len(shared)]
+    straight = without_shared_bias(track, unknown[:, :, : len(shared)], subtracted)
     resting = straight
     if flying < len(use):
         if camera is not None and determines_table_height(chain):
@@ -204,9 +225,9 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
             resting = on_table(straight, np.flatnonzero(supported), die, chain.table_m, TABLE_SIGMA_M)
         poses, last_s = weighted_poses(resting, use[flying:]), float(observations.time_s[flying - 1])
         flights, impacts = _with_supported_motion(flights, impacts, poses, last_s, die)
-    own = Throw(flights, impacts)
-    throw = _with_shared_covariance(own, track.time_s[use[:flying]], shared_covariance[use[:flying]])
-    return MeasuredThrow(throw, straight, resting, chain, use[:flying], shared_covariance, own, die)
+    without = Throw(flights, impacts)
+    throw = _with_shared_covariance(without, track.time_s[use[:flying]], shared_covariance[use[:flying]])
+    return MeasuredThrow(throw, straight, resting, chain, use[:flying], shared_covariance, without, die, estimate)
 
 
 def _usable_rows(track: Track, die: Die, every: int) -> NDArray[np.int64]:
@@ -330,12 +351,14 @@ def weighted_poses(track: Track, use: NDArray[np.int64], unmodelled: float = 1.0
     )  # fmt: skip
 
 
-def with_calibrated_covariance(track: Track, die: Die, camera: Camera | None = None, *, every: int = 1) -> Track:
+def with_calibrated_covariance(
+    track: Track, die: Die, camera: Camera | None = None, *, known: CalibrationErrors | None = None, every: int = 1
+) -> Track:
     """The track with covariances as large as the errors of the poses about their flights, autocorrelated errors included, plus
-    the covariance of the errors that all poses share. The poses stay as they are; without a flight the track is returned
-    unchanged."""
+    the covariance of the errors that all poses share, but for those of the calibration. The poses stay as they are; without a
+    flight the track is returned unchanged."""
     try:
-        found = measure(track, die, camera, every=every)
+        found = measure(track, die, camera, known=known, every=every)
     except NoFlightError:
         return track
     use = np.flatnonzero(track.tracked)

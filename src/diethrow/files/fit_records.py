@@ -39,6 +39,7 @@ def fit_tables(fit: Fit) -> dict[str, Any]:
     """A fit in the form of its JSON."""
     return {
         "parameters": parameters_table(fit.parameters),
+        **({"variance_shares": fit.variance_shares} if fit.variance_shares else {}),
         "law": law_table(fit.parameters, fit.restitution),
         "initial": None if fit.initial is None else state_table(fit.initial, fit.initial_covariance),
         "effects": {
@@ -145,6 +146,7 @@ def read_fit(path: Path) -> Fit:
             messages=tuple(data["messages"]),
             throw=None,
             restitution=data["law"]["restitution"] if data["law"]["friction"] != "none" else "stronge",
+            variance_shares=data.get("variance_shares", {}),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ValueError(f"{path}: not a fit ({error!r}); {NOT_A_FIT}") from error

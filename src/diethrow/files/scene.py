@@ -6,7 +6,8 @@ cameras are required by the commands that need them (`Scene.views`): a fit to so
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -16,10 +17,22 @@ from pydantic import AfterValidator, Field
 
 from ..model.die import Die
 from ..model.world import GRAVITY_M_S2
+from ..tracking.calibration import INTRINSICS, JOINT
 from ..tracking.camera import Camera
 from ..tracking.clip_parameters import CornerRounding
 from ..tracking.footage import EXPONENTS, MAX_PIXELS, NAMED_RESPONSES, Response
 from ..tracking.pose import FEWEST_CLICKS, Click, ManualInitialisation
+from ..tracking.throw import (
+    CAMERA_ERRORS,
+    CENTRE_SIGMA_PX,
+    CLOCK_SHARE,
+    EDGE_SHARE,
+    FOCAL_SHARE,
+    PLACE_SIGMA_M,
+    TURN_SIGMA_RAD,
+    CalibrationErrors,
+    usual_covariance,
+)
 from .die_and_table import ESTIMATE, DieTable, Table, TableTable, WorldTable, die_from, table_from
 from .settings import (
     Matrix3,
@@ -49,6 +62,14 @@ ROTATION_TOLERANCE = 1e-4
 """Matrices and quaternions written with four decimals pass, and are replaced by the nearest rotation."""
 EXACT_ROTATION = 1e-12
 """A matrix this near a rotation is used as it stands: the nearest rotation would only change its last digits."""
+EXACT, USUAL = "exact", "usual"
+"""Calibrations that no file states: of rendered clips, and of a careful laboratory, where the scene says nothing."""
+SAME_NUMBER = 1e-6
+"""Relative difference, and metres, up to which a scene and a calibration state the same: numbers may be rounded."""
+LARGEST_EDGE_SHARE = 0.1
+"""Of an edge, as its standard error; a larger one is in another unit."""
+LARGEST_FPS_SHARE = 0.1
+"""Of the recording rate, as its standard error; a larger one is in another unit."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +92,8 @@ class ClipSource:
     readout_s: float = 0.0
     """Time from the first row's mid-exposure to the last row's (rolling shutter); 0 for a global shutter. The time of a
     frame is that of its middle row."""
+    fps_sigma: float | None = None
+    """Standard error of the recording rate [1/s]; None for that of a quartz."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +103,10 @@ class View:
     camera: Camera
     path: Path | None
     background_path: Path | None
+    calibration: Array
+    """(15, 15) covariance of the camera's parameters, in the order of `tracking.throw.CAMERA_ERRORS`."""
+    calibration_source: str
+    """EXACT, USUAL, or the name of the file that it was read from."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +124,35 @@ class Scene:
     """The manual initial pose; None where it is searched for."""
     rounding: CornerRounding = CornerRounding.GIVEN
     """How the radius of the die's corners is found. Where the file does not give it, it is 0 in `die`."""
+    edge_share: float = EDGE_SHARE
+    """Standard error of the die's edge, as a share of it."""
+    edge_share_is_stated: bool = False
+    """Whether the file says it."""
+
+    def known_errors(self, interval_s: float | None) -> CalibrationErrors:
+        """How well cameras, die and clock are known, with frames so far apart; None for a single frame, which has no rate."""
+        share = CLOCK_SHARE if self.clip.fps_sigma is None else self.clip.fps_sigma * (interval_s or 0.0)
+        cameras = tuple(view.camera for view in self.cameras)
+        return CalibrationErrors(cameras, tuple(view.calibration for view in self.cameras), self.edge_share, share)
+
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """What is assumed of cameras and die because the file does not say how well they are known, in one sentence."""
+        camera = (
+            f"the focal length is known to {100.0 * FOCAL_SHARE:g} %, the principal point to {CENTRE_SIGMA_PX:g} px, the "
+            f"camera's pose to {np.degrees(TURN_SIGMA_RAD):g} degrees and {1e3 * PLACE_SIGMA_M:g} mm (camera.calibration)"
+        )
+        assumed = [camera] if any(view.calibration_source == USUAL for view in self.cameras) else []
+        assumed += [] if self.edge_share_is_stated else [f"the edge to {100.0 * EDGE_SHARE:g} % (die.edge_sigma_m)"]
+        return (f"Assumed, since the scene does not say it: {', and '.join(assumed)}.",) if assumed else ()
+
+    def known_exactly(self) -> Scene:
+        """The scene with cameras, edge and frame rate known exactly, as those of a rendered clip are."""
+        exact = np.zeros((CAMERA_ERRORS, CAMERA_ERRORS))
+        views = tuple(replace(view, calibration=exact, calibration_source=EXACT) for view in self.cameras)
+        return replace(
+            self, cameras=views, clip=replace(self.clip, fps_sigma=0.0), edge_share=0.0, edge_share_is_stated=True
+        )
 
     def views(self) -> tuple[View, ...]:
         """The cameras with their footage; initial poses and the replay use the first one. Raises SceneError where there is no
@@ -149,7 +205,14 @@ def read_scene(path: Path, *, allow_outside: bool = False) -> Scene:
     )
     die = die_from(checked.die, path)
     start = _start(checked.start, clip, views, die, path) if checked.start is not None else None
-    return Scene(path, text, clip, views, die, table_from(checked.table, checked.world), start, _rounding(checked.die))
+    table = table_from(checked.table, checked.world)
+    edge_m = checked.die.edge_sigma_m
+    edge_share = EDGE_SHARE if edge_m is None else edge_m / checked.die.edge_m
+    if edge_share > LARGEST_EDGE_SHARE:
+        guess = unit_guess(edge_share, (1e-3, 1e-6), lambda share: share <= LARGEST_EDGE_SHARE)
+        wanted = f"wanted metres, at most a tenth of edge_m = {checked.die.edge_m:g}{guess}"
+        raise refuse(path, "die.edge_sigma_m", edge_m, wanted)
+    return Scene(path, text, clip, views, die, table, start, _rounding(checked.die), edge_share, edge_m is not None)
 
 
 # --- the file, as TOML tables ---
@@ -204,6 +267,9 @@ class _ClipTable(TomlTable):
         0.0,
         description="the time in seconds from the first row's mid-exposure to the last row's (rolling shutter), 0 or more",
     )
+    fps_sigma: NotNegative | None = Field(
+        None, description="the standard error of fps in frames per second, 0 or more; left out: 1e-5 of fps"
+    )
     background: PathText | None = Field(None, description=_BACKGROUND_WANTED)
     frames: Annotated[Vector2i, AfterValidator(_rising)] | None = Field(
         None, description="[first, stop], two whole numbers with 0 <= first < stop"
@@ -226,8 +292,17 @@ class _CameraTable(TomlTable):
     distortion: Vector5 = Field([0.0] * 5, description="5 numbers, k1 k2 p1 p2 k3")
     rotation: Matrix3 = Field(description="3 rows of 3 numbers, the rotation from world to camera")
     translation_m: Vector3 = Field(description="3 numbers in metres, x_cam = rotation X_world + translation_m")
+    calibration: PathText | None = Field(
+        None, description=f'"{EXACT}", or the path of a calibration.json relative to the scene file'
+    )
     path: PathText | None = Field(None, description=PATH_WANTED)
     background: PathText | None = Field(None, description=_BACKGROUND_WANTED)
+
+
+class _DieTable(DieTable):
+    edge_sigma_m: NotNegative | None = Field(
+        None, description="the standard error of edge_m in metres, 0 or more; left out: 0.1 % of it"
+    )
 
 
 class _ClickTable(TomlTable):
@@ -250,7 +325,7 @@ class _SceneFile(TomlTable):
     clip: _ClipTable = Field(description="a [clip] table with path and fps")
     camera: list[_CameraTable] = Field([], description="a [camera] table, or several [[camera]] tables")
     table: TableTable = Field(description='a [table] table, for example surface = "wood"')
-    die: DieTable = Field(description="a [die] table with shape, edge_m and mass_kg")
+    die: _DieTable = Field(description="a [die] table with shape, edge_m and mass_kg")
     start: _StartTable | None = Field(None, description="a [start] table with frame, and a pose or corners")
     world: WorldTable = Field(WorldTable(gravity_m_s2=GRAVITY_M_S2), description="a [world] table with gravity_m_s2")
 
@@ -277,7 +352,16 @@ def _clip(table: _ClipTable, path: Path, files: _FilesOfScene) -> ClipSource:
         tuple((part, part + 1) if isinstance(part, int) else (part[0], part[1]) for part in table.exclude),
         table.response,
         table.readout_s,
+        _fps_sigma(table, path),
     )
+
+
+def _fps_sigma(table: _ClipTable, path: Path) -> float | None:
+    """The standard error of the rate. Raises SceneError for one that says nothing of it."""
+    if table.fps_sigma is not None and table.fps and table.fps_sigma > LARGEST_FPS_SHARE * table.fps:
+        wanted = f"wanted frames per second, at most a tenth of fps = {table.fps:g}"
+        raise refuse(path, "clip.fps_sigma", table.fps_sigma, wanted)
+    return table.fps_sigma
 
 
 def _start(table: _StartTable, clip: ClipSource, views: tuple[View, ...], die: Die, path: Path) -> ManualInitialisation:
@@ -377,7 +461,58 @@ def _view(table: _CameraTable, key: str, clip: ClipSource, path: Path, files: _F
         camera,
         files.existing(table.path, f"{key}.path", PATH_WANTED) or clip.path,
         own_background or clip.background_path,
+        *_calibration(table.calibration, camera, key, path, files),
     )
+
+
+def _calibration(given: str | None, camera: Camera, key: str, path: Path, files: _FilesOfScene) -> tuple[Array, str]:
+    """The covariance of a camera's parameters, and where it is from. Raises SceneError for a file that is none, or of another
+    camera."""
+    if given is None:
+        return usual_covariance(camera), USUAL
+    if given == EXACT:
+        return np.zeros((CAMERA_ERRORS, CAMERA_ERRORS)), EXACT
+    wanted = "the path of the calibration.json that diethrow calibrate wrote, relative to the scene file"
+    file = files.existing(given, f"{key}.calibration", wanted)
+    assert file is not None
+    try:
+        return _stated_covariance(file, camera), file.name
+    except ValueError as error:
+        raise refuse(path, f"{key}.calibration", given, f'{error}; wanted {wanted}, or "{EXACT}"') from error
+
+
+def _stated_covariance(file: Path, camera: Camera) -> Array:
+    """(15, 15) covariance of a camera's parameters in a `calibration.json`; a pose that it does not hold is as usual. Raises
+    ValueError for a file that holds none, or is of another camera."""
+    try:
+        record = json.loads(file.read_text(encoding="utf-8"))
+        names, stated = (
+            [JOINT.index(name) for name in record["covariance_names"]],
+            np.array(record["covariance"], float),
+        )
+        values = np.array([record["intrinsics"][name]["value"] for name in INTRINSICS], float)
+        table = record["table"]
+        pose = None if table is None else (np.array(table["rotation"], float), np.array(table["translation_m"], float))
+    except (OSError, UnicodeDecodeError, ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{file.name} is no record of a calibration ({type(error).__name__}: {error})") from error
+    covariance = np.zeros((len(JOINT), len(JOINT)))
+    if stated.shape != (len(names), len(names)) or not np.isfinite(stated).all():
+        raise ValueError(f"{file.name} has a covariance of shape {stated.shape} for {len(names)} numbers")
+    covariance[np.ix_(names, names)] = stated
+    K = camera.matrix
+    own = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *camera.distortion])
+    if not np.allclose(values, own, rtol=SAME_NUMBER, atol=SAME_NUMBER):
+        raise ValueError(f"{file.name} is of a camera with another matrix or distortion")
+    found = covariance[:CAMERA_ERRORS, :CAMERA_ERRORS]
+    if pose is None:
+        pose_errors = slice(len(INTRINSICS), CAMERA_ERRORS)
+        found[pose_errors, pose_errors] = usual_covariance(camera)[pose_errors, pose_errors]
+    elif not (
+        np.allclose(pose[0], camera.rotation, atol=ROTATION_TOLERANCE)
+        and np.allclose(pose[1], camera.translation_m, atol=SAME_NUMBER)
+    ):
+        raise ValueError(f"{file.name} is of a camera at another place")
+    return found
 
 
 def _rotation(table: _CameraTable, key: str, path: Path) -> Array:

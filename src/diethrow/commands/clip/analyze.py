@@ -6,6 +6,7 @@ records into a folder that appears whole or not at all.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from ...analysis import PLAIN, Analysis, Progress, Shown, Tracking, rate_hz, silent
@@ -52,6 +53,7 @@ def analyze(
     with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, unchanged_inputs(paths) as inputs:
         tracking = track_scene(scene, progress, watch, quality, decimation=decimation, timing=timing)
         fit = run_fit(tracking.unbiased, tracking.measured, tracking.die, progress, watch, intervals)
+        fit = replace(fit, messages=(*fit.messages, *scene.assumptions))
         notices = tracking.notices
         write_tracking(folder, scene, tracking)
         simulated = write_model(folder, fit, tracking.frames)

@@ -93,6 +93,7 @@ def camera_toml(calibration: Calibration, table: TablePose | None) -> str:
         lines += [
             f"rotation = {_listed(table.camera.rotation)}",
             f"translation_m = {_listed(table.camera.translation_m)}",
+            '# calibration = "calibration.json"   # how well all this is known; copy that file next to the scene',
         ]
     return "\n".join(lines) + "\n"
 

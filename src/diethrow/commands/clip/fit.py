@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from ...analysis import PLAIN, Analysis, Progress, Shown, rate_hz, silent
 from ...executors import one_thread
 from ...files.csv_and_json import read_json
 from ...files.fit_records import write_fit
+from ...files.measured_throw import read_measured_throw, throw_path
 from ...files.outputs import MIN_FREE_BYTES, check_free_space, whole_folder
 from ...files.provenance import Stopwatch, add_timings, unchanged_inputs
 from ...files.scene import Scene
@@ -30,9 +32,9 @@ from ...model.throw import Throw
 from ...replay.elements import Record
 from ...replay.pages import ReportDetails, write_figures, write_report
 from ...replay.recording import write_recording
-from ...tracking.throw import frames_in_flight
+from ...tracking.throw import frames_in_flight, smooth
 from ...tracking.track import ABSENT, Track
-from .track import find_impacts, if_there, smoothed_notices, write_origin
+from .track import FoundThrow, find_impacts, if_there, smoothed_notices, write_origin
 
 
 def fit_track(
@@ -45,15 +47,23 @@ def fit_track(
     progress: Progress = silent,
     command: tuple[str, ...] = (),
 ) -> Analysis:
-    """The fitting stage alone, on a track from anywhere; the scene gives the die and the table. Raises as `analyze`."""
+    """The fitting stage alone, on a track from anywhere; the scene gives the die and the table. With what tracking wrote beside
+    the track (`files.measured_throw`) the result is that of `analyze`. Raises as `analyze`."""
     watch = Stopwatch()
-    table, die = scene.table.in_model, scene.given_die()
+    table = scene.table.in_model
     frames = read_track(track_path, table.gravity_m_s2)
-    paths = (scene.path, track_path, *if_there(covariance_path(track_path)))
+    paths = (scene.path, track_path, *if_there(covariance_path(track_path)), *if_there(throw_path(track_path)))
     with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, unchanged_inputs(paths) as inputs:
-        found = find_impacts(frames, track_path, die, None, progress, watch)
+        tracked = read_measured_throw(track_path, frames, scene.die, scene.rounding)
+        die = scene.given_die() if tracked is None else tracked.die
+        if tracked is None:
+            found = find_impacts(frames, track_path, die, None, progress, watch)
+        else:
+            found = FoundThrow(tracked.frames, tracked.throw, smooth(tracked.frames, tracked.throw), ())
         frames, measured, notices = found.independent, found.throw, (*smoothed_notices(track_path), *found.doubts)
         fit = run_fit(frames, measured, die, progress, watch, intervals, table)
+        if frames.shared_errors is not None:
+            fit = replace(fit, messages=(*fit.messages, *scene.assumptions))
         write_vertices(folder / "vertices.csv", die.solid)
         write_bounces(folder / "bounces.csv", measured.impacts)
         simulated = write_model(folder, fit, frames)

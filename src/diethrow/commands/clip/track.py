@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ...analysis import Progress, RunError, Tracking, silent
 from ...executors import one_thread
+from ...files.measured_throw import TrackedThrow, write_measured_throw
 from ...files.outputs import whole_folder
 from ...files.provenance import Inputs, Stopwatch, unchanged_inputs, write_provenance
 from ...files.scene import Scene
@@ -32,7 +33,7 @@ from ...tracking.footage import (
 from ...tracking.quality import QUALITIES, STANDARD, Quality
 from ...tracking.sequence import ClipFacts
 from ...tracking.surface_marks import read_faces, with_numbers
-from ...tracking.throw import NoFlightError, flights_only, measure
+from ...tracking.throw import CalibrationErrors, NoFlightError, flights_only, measure
 from ...tracking.timing import ClipClock, TimedTracking, Timing, clip_at_times, track_clip_in_time
 from ...tracking.track import ABSENT, LOST, Track
 from .footage import open_background, open_footage, readout_of_frames
@@ -135,7 +136,8 @@ def track_scene(
         die = with_numbers(followed.die, faces)
         second = find_second_die(light[0], followed.track, cameras[0], followed.die, followed.background, unit_grey)
         frames = replace(followed.track, frame=decimation.frame_numbers(followed.track.frame))
-        found = find_impacts(frames, scene.path, die, cameras[0], progress, watch)
+        known = scene.known_errors(interval_s)
+        found = find_impacts(frames, scene.path, die, (cameras[0], known), progress, watch)
     except RunError as error:
         # A truncated clip may be the reason why no die is found.
         for notice in (notice for clip in clips for notice in clip.notices):
@@ -160,6 +162,8 @@ def write_tracking(folder: Path, scene: Scene, tracking: Tracking) -> None:
     write_vertices(folder / "vertices.csv", scene.die.solid)
     write_track(folder / "track.csv", tracking.smoothed)
     write_track(folder / "track_frames.csv", tracking.unbiased)
+    known = TrackedThrow(tracking.unbiased, tracking.measured, tracking.die, tracking.faces.numbers)
+    write_measured_throw(folder / "track_frames.csv", known)
     write_bounces(folder / "bounces.csv", tracking.measured.impacts)
     write_faces(folder / "faces.csv", tracking.die.solid, tracking.face_numbers)
 
@@ -211,7 +215,7 @@ def _follow(
     facts = ClipFacts(
         scene.clip.exposure_s, mirror, scene.start, scene.clip.excluded, scene.rounding, level_grey=how.unit_grey,
         readout_s=scene.clip.readout_s, gravity_m_s2=scene.table.gravity_m_s2,
-        estimates_response=scene.clip.response is None,
+        estimates_response=scene.clip.response is None, known=scene.known_errors(how.interval_s),
     )  # fmt: skip
     try:
         return track_clip_in_time(
@@ -229,14 +233,20 @@ def _follow(
 
 
 def find_impacts(
-    frames: Track, source: Path, die: Die, camera: Camera | None, progress: Progress, watch: Stopwatch
+    frames: Track,
+    source: Path,
+    die: Die,
+    filmed_by: tuple[Camera, CalibrationErrors] | None,
+    progress: Progress,
+    watch: Stopwatch,
 ) -> FoundThrow:
     """The flights that the frames show and the impacts between them. Raises RunError if there is no flight."""
     _demand_a_die(frames, source, die)
     with watch.stage("bounces"):
         progress("Finding the bounces", 0, 0)
         try:
-            found = measure(frames, die, camera)
+            camera, known = filmed_by or (None, None)
+            found = measure(frames, die, camera, known=known)
         except NoFlightError as error:
             raise RunError(f"{source}: {error}") from error
         smoothed = found.smoothed_frames

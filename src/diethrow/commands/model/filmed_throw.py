@@ -1,6 +1,6 @@
 """A simulated throw as a clip: the images that a given camera would record, with the true motion.
 
-The folder contains a scene file, the clip, an image of the empty table and the truth (`files.truth`). `frames.csv` states what
+The folder contains a scene file, the clip, an image of the empty table and the truth (`film_truth`). `frames.csv` states what
 the camera did with each frame of the file: the picture that it shows, the gain, and the shift by a stabiliser. `diethrow analyze
 DIR/scene.toml` analyses it, and `benchmarks/tracker.py` compares the analysis with the truth.
 """
@@ -23,7 +23,6 @@ from ...files.plan import Plan
 from ...files.provenance import Stopwatch, write_provenance
 from ...files.scene import Scene
 from ...files.settings import refuse
-from ...files.truth import write_truth
 from ...model.die import MAX_CORNER_RADIUS_FRACTION, Die
 from ...model.laws import CoulombImpact, SmoothImpact
 from ...model.rotations import continuous_sign, quat_from_rotvec, quat_multiply
@@ -55,6 +54,7 @@ from ...replay.render import (
 from ...tracking.camera import Camera
 from ...tracking.footage import Response, grey_of, is_linear
 from .film_settings import MAX_FRAMES, USUAL_SETTINGS, FilmSettings
+from .film_truth import write_truth
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -469,6 +469,7 @@ def scene_text(job: FilmJob, clip: str) -> str:
 [clip]
 path = "{clip}"
 fps = {float(job.fps)!r}
+fps_sigma = 0.0
 exposure_s = {float(job.exposure_s)!r}
 background = "background.png"
 {readout}{response}
@@ -476,7 +477,7 @@ background = "background.png"
 
 
 def scene_tables(camera: Camera, surface: str, die: Die) -> str:
-    """The tables of a scene file that describe camera, table and die."""
+    """The tables of a scene file that describe camera, table and die, all of them known exactly."""
     radius = f"corner_radius_m = {die.corner_radius_m!r}\n" if die.corner_radius_m else ""
     is_stated = die.is_spherical_top and not die.is_homogeneous
     inertia = f"inertia_kg_m2 = {die.inertia_kg_m2!r}\n" if is_stated else ""
@@ -488,6 +489,7 @@ matrix = {camera.matrix.tolist()}
 distortion = {camera.distortion.tolist()}
 rotation = {camera.rotation.tolist()}
 translation_m = {camera.translation_m.tolist()}
+calibration = "exact"
 
 [table]
 surface = "{surface}"
@@ -495,5 +497,6 @@ surface = "{surface}"
 [die]
 shape = "{die.solid.name}"
 edge_m = {die.solid.edge_m!r}
+edge_sigma_m = 0.0
 mass_kg = {die.mass_kg!r}
 {inertia}{radius}{marks}"""

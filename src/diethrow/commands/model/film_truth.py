@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.die import Die
-from ..model.laws import CoulombImpact, SmoothImpact
-from ..model.rotations import continuous_sign
-from ..model.throw import Impact, State, Throw
-from ..tracking.camera import Camera
-from .csv_and_json import write_table
+from ...files.csv_and_json import write_table
+from ...model.die import Die
+from ...model.laws import CoulombImpact, SmoothImpact
+from ...model.rotations import continuous_sign
+from ...model.throw import Impact, State, Throw
+from ...tracking.camera import Camera
 
 Array = NDArray[np.float64]
 
