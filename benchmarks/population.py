@@ -20,6 +20,9 @@ The table has a row for each kind of clip, with counts and, below 100 %, interva
   chi        share of clips whose interval of the restitution holds the truth, of those that have one; rms error in standard
              errors (the interval's half width is two)
 
+`--calibration drawn` hands the program scenes whose cameras, edge and frame rate are off, each by a draw of its own from what a
+scene that says nothing counts as known; the truth is that of the exact ones. `benchmarks/honesty.py` sums both up.
+
 `--worst N` saves pictures of the worst clips: six frames about the first pose that is wrong, or spread over the clip.
 """
 
@@ -35,6 +38,7 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, as_completed
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -60,14 +64,21 @@ from diethrow.executors import Processes, cluster_at, cores, one_thread
 from diethrow.files.provenance import Stopwatch
 from diethrow.files.scene import Scene, SceneError, read_scene
 from diethrow.fitting.results import Fit
-from diethrow.model.rotations import angle_between, matrix_from_quat
+from diethrow.model.die import make_die
+from diethrow.model.rotations import angle_between, matrix_from_quat, quat_from_rotvec
+from diethrow.tracking.covariance import covariance_root
 from diethrow.tracking.quality import QUALITIES
+from diethrow.tracking.throw import CLOCK_SHARE, EDGE_SHARE, usual_covariance
 
 Array = NDArray[np.float64]
 
 WRONG_DEG, WRONG_M, WRONG_SIGMAS = 5.0, 1e-3, 5.0
 WRONG_SQUARED = float(chi2.isf(chi2.sf(WRONG_SIGMAS**2, 1), 6))
 """Squared Mahalanobis distance of six components as improbable as 5 standard deviations of one: 43."""
+ELLIPSOID = float(chi2.ppf(0.95, 6))
+"""Squared Mahalanobis distance of six components within which 95 % lie."""
+DRAWN_STREAM = 26
+"""Of the random numbers of a clip's calibration."""
 CALLS = 6
 """Calls, from the innermost, that the record of a crash names."""
 DEFAULT_CACHE = Path.home() / ".cache" / "diethrow" / "population"
@@ -82,6 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--cache", type=Path, default=DEFAULT_CACHE, help="folder of clips and results (%(default)s)")
     parser.add_argument("--label", default="main", help="name of the results, for comparison (%(default)s)")
     parser.add_argument("--quality", choices=list(QUALITIES), default="standard")
+    parser.add_argument("--calibration", choices=["exact", "drawn"], default="exact")
     parser.add_argument("--again", action="store_true", help="analyse clips again that have results")
     parser.add_argument("--kind", action="append", default=[], help="only clips of this kind; may be repeated")
     parser.add_argument("--list", action="store_true", help="print a line for every clip")
@@ -90,14 +102,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--scheduler", help="address of a Dask scheduler instead, whose workers see the cache")
     chosen = parser.parse_args(arguments)
     clips = chosen.cache / f"seed{chosen.seed}_v{RENDERER_VERSION}"
-    results = clips / "results" / f"{chosen.label}_{chosen.quality}.jsonl"
+    results = results_path(chosen.cache, chosen.seed, chosen.label, chosen.quality, chosen.calibration)
     results.parent.mkdir(parents=True, exist_ok=True)
     numbers = range(chosen.first, chosen.first + chosen.clips)
     known = {} if chosen.again else read_results(results)
     missing = [k for k in numbers if k not in known]
     with executor_of(chosen) as executor:
         work = [
-            executor.submit(clip_result, clips, chosen.seed, k, chosen.quality, tuple(chosen.kind)) for k in missing
+            executor.submit(clip_result, clips, chosen.seed, k, chosen.quality, tuple(chosen.kind), chosen.calibration)
+            for k in missing
         ]
         for result in progress(work):
             known[result["clip"]] = result
@@ -124,6 +137,12 @@ def executor_of(chosen: argparse.Namespace) -> Iterator[Executor]:
             yield processes
 
 
+def results_path(cache: Path, seed: int, label: str, quality: str, calibration: str) -> Path:
+    """The file of results."""
+    suffix = "" if calibration == "exact" else f"_{calibration}"
+    return cache / f"seed{seed}_v{RENDERER_VERSION}" / "results" / f"{label}_{quality}{suffix}.jsonl"
+
+
 def read_results(path: Path) -> dict[int, dict[str, Any]]:
     """Results by number of the clip; of several, the last."""
     lines = path.read_text().splitlines() if path.exists() else []
@@ -144,7 +163,9 @@ def progress(work: Sequence[Future[dict[str, Any]]]) -> Iterator[dict[str, Any]]
 # --- one clip ---------------------------------------------------------------------------------------------------------
 
 
-def clip_result(clips: Path, seed: int, number: int, quality: str, kinds: tuple[str, ...] = ()) -> dict[str, Any]:
+def clip_result(
+    clips: Path, seed: int, number: int, quality: str, kinds: tuple[str, ...] = (), calibration: str = "exact"
+) -> dict[str, Any]:
     """Render a clip where it is not there yet, analyse it, and compare: a record for the file of results."""
     draw = draw_clip(seed, number)
     result: dict[str, Any] = {"clip": number, "kinds": draw.kinds, "outcome": "skipped"}
@@ -153,18 +174,51 @@ def clip_result(clips: Path, seed: int, number: int, quality: str, kinds: tuple[
     folder = rendered_clip(clips, draw, number)
     began = time.perf_counter()
     try:
-        scene = read_scene(folder / "scene.toml")
+        exact = scene = read_scene(folder / "scene.toml").known_exactly()
+        if calibration == "drawn":
+            scene = with_drawn_calibration(exact, np.random.default_rng([seed, number, DRAWN_STREAM]))
         with one_thread():
             check_scene(scene)
             tracking = track_scene(scene, silent, Stopwatch(), QUALITIES[quality])
             fit = run_fit(tracking.unbiased, tracking.measured, tracking.die, silent, Stopwatch(), "profile")
-        result |= {"outcome": "analysed"} | compared(scene, read_truth(folder), tracking, fit, draw.law.chi)
+        result |= {"outcome": "analysed"} | compared(exact, read_truth(folder), tracking, fit, draw.law.chi)
     except (RunError, SceneError) as error:
         result |= {"outcome": "refused", "reason": str(error)}
     except Exception as error:  # a crash on one clip is a result of the benchmark
         calls = [f"{Path(call.filename).name}:{call.lineno}" for call in traceback.extract_tb(error.__traceback__)]
         result |= {"outcome": "crashed", "reason": f"{type(error).__name__}: {error} ({' > '.join(calls[-CALLS:])})"}
     return result | {"seconds": round(time.perf_counter() - began, 2)}
+
+
+def with_drawn_calibration(scene: Scene, rng: np.random.Generator) -> Scene:
+    """The scene with camera, edge and frame rate off by a draw from what a scene that says nothing counts as known, which it then
+    states."""
+    views = []
+    for view in scene.cameras:
+        usual = usual_covariance(view.camera)
+        change, camera = covariance_root(usual) @ rng.standard_normal(len(usual)), view.camera
+        matrix = camera.matrix.copy()
+        matrix[0, 0], matrix[1, 1] = matrix[0, 0] + change[0], matrix[1, 1] + change[1]
+        matrix[:2, 2] += change[2:4]
+        moved = replace(
+            camera,
+            matrix=matrix,
+            rotation=matrix_from_quat(quat_from_rotvec(change[9:12])) @ camera.rotation,
+            translation_m=camera.translation_m + change[12:],
+        )
+        views.append(replace(view, camera=moved, calibration=usual))
+    die, larger = scene.die, 1.0 + EDGE_SHARE * float(rng.standard_normal())
+    die = make_die(
+        die.solid.name,
+        die.solid.edge_m * larger,
+        die.mass_kg,
+        inertia_kg_m2=None if die.is_homogeneous else die.inertia_kg_m2,
+        corner_radius_m=die.corner_radius_m * larger,
+        marks=die.marks,
+    )
+    fps = scene.clip.fps
+    clip = replace(scene.clip, fps=fps and fps * (1.0 + CLOCK_SHARE * float(rng.standard_normal())), fps_sigma=None)
+    return replace(scene, cameras=tuple(views), die=die, clip=clip, edge_share=EDGE_SHARE)
 
 
 def rendered_clip(clips: Path, draw: Draw, number: int) -> Path:
@@ -221,6 +275,8 @@ def track_compared(scene: Scene, truth: Truth, tracking: Tracking, messages: Seq
             "lateral": quantiles(1e3 * across[both]),
             "depth": quantiles(1e3 * along[both]),
             "nees": float(np.median(nees[both])),
+            "nees_mean": float(np.mean(nees[both])),
+            "within": float(np.mean(nees[both] < ELLIPSOID)),
         }
         | bounces_of(tracking, truth)
     )

@@ -7,7 +7,9 @@ show two departures, and both are corrected:
 - their correlation from frame to frame, which makes n frames worth n/τ with τ = 1 + 2 Σ ρ_l over the autocorrelations ρ_l
   (Priestley, Spectral Analysis and Time Series, 1981, Sec. 5.3).
 
-Neither factor is taken below 1. An error that all frames share shows in no residual and in no interval.
+Their product is not taken below 1. Covariances may state errors that are correlated as larger independent ones, as those of
+tracking do: residuals are then smaller than stated, and correlated, and s² τ compares what they add up to with what is stated.
+An error that all frames share shows in no residual.
 
 A profile-likelihood interval (Venzon & Moolgavkar, Appl. Stat. 37, 87, 1988) holds all values at which the best fit of
 everything else costs at most z² more. It respects the bounds of a parameter, and ends at a bound that it reaches.
@@ -45,9 +47,10 @@ def normal_quantile(level: float) -> float:
 
 
 def variance_inflation(residuals: Array, degrees_of_freedom: float, flight: NDArray[np.int64]) -> tuple[float, float]:
-    """s² and τ, at least 1 each, of whitened residuals (n, 6) in flights (n,)."""
+    """s² and τ of whitened residuals (n, 6) in flights (n,); τ is at least 1, and so is their product."""
     variance = float((residuals**2).sum()) / max(degrees_of_freedom, 1.0)
-    return max(1.0, variance), correlation_time(residuals, flight)
+    tau = correlation_time(residuals, flight)
+    return max(1.0 / tau, variance), tau
 
 
 def correlation_time(residuals: Array, flight: NDArray[np.int64]) -> float:

@@ -16,7 +16,7 @@ _NOTABLE_VARIANCE = 1.5
 """Variance of the frames about free flights from which a message states it: sigmas that are a fifth too small."""
 
 _NOTABLE_INFLATION = 1.2
-"""Variance or correlation time from which a message states that sigmas were scaled up: by a tenth."""
+"""Factor on variances from which a message states that sigmas were scaled up: by a tenth."""
 
 _NOTABLE_SHARE = 0.01
 """Share of the variance of chi from which a message states where it comes from."""
@@ -133,7 +133,7 @@ def _why_no_more(trajectory: Trajectory, free: FreeFlights, explained: int, besi
 
 def inflation_messages(variance: float, tau: float) -> list[str]:
     """By how much sigmas and intervals were scaled up, if they were."""
-    if variance < _NOTABLE_INFLATION and tau < _NOTABLE_INFLATION:
+    if variance * tau < _NOTABLE_INFLATION:
         return []
     larger = f"{np.sqrt(variance):.2f} sigma (rms) and " if variance > 1.0 else ""
     why = "the frames' errors are larger than stated, or the model is not quite right; " if variance > 1.0 else ""

@@ -1,4 +1,4 @@
-"""Errors that all frames share, in the fit of a throw: cameras, die and clock as far as they are not known.
+"""Errors that all frames share, in the fit of a throw: those of contours and light, and of cameras, die and clock.
 
 With u such errors in standard deviations and A their whitened derivative, the cost of a throw is the least over u of
 
@@ -12,7 +12,7 @@ out, and its intervals contain what the errors leave open.
 The weight w of the prior is 1 while frames are as good as stated. Covariances are multiplied by what the residuals show beyond
 that (`variance_inflation`), which the prior must not be: its weight is then that factor.
 
-Where nothing is unknown, nothing is computed.
+Where frames share no error, nothing is computed.
 """
 
 from __future__ import annotations

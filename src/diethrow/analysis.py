@@ -48,6 +48,7 @@ class Tracking:
     clips: tuple[Clip, ...]
     """One per camera, as used."""
     cameras: tuple[Camera, ...]
+    """As the throw shows them, where they are known only so far: the poses lie on their pictures."""
     die: Die
     """The scene's die, with its faces in the order of their numbers if those could be read."""
     faces: FaceNumbers

@@ -79,6 +79,15 @@ EXACT = CalibrationErrors((), (), 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
+class UnknownErrors:
+    """The errors of a track by what is not known exactly."""
+
+    errors: SharedErrors
+    by_camera: Array
+    """(15 c, m) change of the parameters of c cameras by one standard deviation of each error."""
+
+
+@dataclass(frozen=True, eq=False)
 class CalibrationEstimate:
     """What a throw shows of the errors of cameras, die and clock."""
 
@@ -88,18 +97,22 @@ class CalibrationEstimate:
     """(m, m) of the estimate, in the standard deviations of what was known before."""
     clock: float
     """By what share a second of the clock is longer than a true one."""
+    cameras: tuple[Camera, ...]
+    """With what the throw shows: the poses lie on their pictures as these cameras show them."""
 
     @staticmethod
-    def of(errors: SharedErrors, known: CalibrationErrors, estimate: Array, covariance: Array) -> CalibrationEstimate:
+    def of(unknown: UnknownErrors, known: CalibrationErrors, estimate: Array, covariance: Array) -> CalibrationEstimate:
         """From an estimate (m,) of errors and its covariance (m, m); both empty where the throw contradicts what is known, and
         nothing is estimated."""
-        m = len(errors.sources)
+        errors, m = unknown.errors, len(unknown.errors.sources)
         if not len(estimate):
-            return CalibrationEstimate(errors, np.eye(m), 0.0)
+            return CalibrationEstimate(errors, np.eye(m), 0.0, known.cameras)
         is_clock = np.array([source == CLOCK for source in errors.sources], bool)
         subtracted = np.where(is_clock, 0.0, estimate)
         clock = -known.clock_share * float(estimate[is_clock].sum())
-        return CalibrationEstimate(replace(errors, subtracted=subtracted), covariance, clock)
+        changes = (unknown.by_camera @ estimate).reshape(-1, CAMERA_ERRORS)
+        cameras = tuple(displaced(camera, change) for camera, change in zip(known.cameras, changes, strict=True))
+        return CalibrationEstimate(replace(errors, subtracted=subtracted), covariance, clock, cameras)
 
     @property
     def pose_covariances(self) -> Array:
@@ -126,27 +139,32 @@ def usual_covariance(camera: Camera) -> Array:
     return covariance
 
 
-def shared_errors(known: CalibrationErrors, track: Track, die: Die) -> SharedErrors:
+def unknown_errors(known: CalibrationErrors, track: Track, die: Die) -> UnknownErrors:
     """The errors of a track by what is not known exactly. Those that move no pose by as much as the frames can show are left out.
     Rows without a pose are NaN."""
     use = np.flatnonzero(track.tracked)
     found, sources = [np.zeros((len(use), 6, 0))], []
-    is_known = [bool(covariance.any()) for covariance in known.covariances]
-    if any(is_known) or known.edge_share:
-        by_camera, by_edge = _changes(known.cameras, track.position_m[use], die)
-        root = np.zeros((by_camera.shape[2],) * 2)
+    parameters = CAMERA_ERRORS * len(known.cameras)
+    by_camera = np.zeros((parameters, 0))
+    if known.edge_share or any(bool(covariance.any()) for covariance in known.covariances):
+        change, by_edge = _changes(known.cameras, track.position_m[use], die)
+        root = np.zeros((parameters, parameters))
         for k, covariance in enumerate(known.covariances):
             own = slice(k * CAMERA_ERRORS, (k + 1) * CAMERA_ERRORS)
             root[own, own] = _scaled_root(covariance)
-        main = _principal(by_camera @ root, track.covariance[use])
-        found += [main, known.edge_share * by_edge] if known.edge_share else [main]
-        sources += [CALIBRATION] * main.shape[2] + ([DIE] if known.edge_share else [])
+        by_camera = root @ _principal(change @ root, track.covariance[use])
+        found.append(change @ by_camera)
+        sources += [CALIBRATION] * by_camera.shape[1]
+        if known.edge_share:
+            found.append(known.edge_share * by_edge)
+            sources.append(DIE)
     if known.clock_share and len(use) > 1:
         found.append(known.clock_share * _by_clock(track, use)[:, :, None])
         sources.append(CLOCK)
     jacobian = np.full((len(track), 6, len(sources)), np.nan)
     jacobian[use] = np.concatenate(found, axis=2)
-    return SharedErrors(jacobian, tuple(sources), np.zeros(len(sources)))
+    others = np.zeros((parameters, len(sources) - by_camera.shape[1]))
+    return UnknownErrors(SharedErrors(jacobian, tuple(sources), np.zeros(len(sources))), np.hstack([by_camera, others]))
 
 
 def _scaled_root(covariance: Array) -> Array:
@@ -157,14 +175,13 @@ def _scaled_root(covariance: Array) -> Array:
 
 
 def _principal(changes: Array, covariance: Array) -> Array:
-    """Independent errors (n, 6, m) of unit variance instead of others (n, 6, k), the largest first, without those below
+    """Orthonormal mixtures (k, m) of independent errors that change poses by (n, 6, k), the largest first, without those below
     LEAST_SIGMAS; frames have covariances (n, 6, 6)."""
     sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     known = np.isfinite(sigma).all(axis=1) & (sigma > 0.0).all(axis=1)
     whitened = (changes[known] / sigma[known][:, :, None]).reshape(-1, changes.shape[2])
     values, vectors = np.linalg.eigh(whitened.T @ whitened)
-    kept = np.flatnonzero(values > LEAST_SIGMAS**2)[::-1]
-    return np.asarray(changes @ vectors[:, kept])
+    return np.asarray(vectors[:, np.flatnonzero(values > LEAST_SIGMAS**2)[::-1]])
 
 
 def _changes(cameras: tuple[Camera, ...], position_m: Array, die: Die) -> tuple[Array, Array]:
@@ -182,9 +199,9 @@ def _changes(cameras: tuple[Camera, ...], position_m: Array, die: Die) -> tuple[
         by_pose[:, c, :, 3:] = (by_point @ turned).reshape(n, -1, 3)
         by_edge[:, c] = (by_point @ (size * POINTS)[:, :, None]).reshape(n, -1, 1)
         own = slice(c * CAMERA_ERRORS, (c + 1) * CAMERA_ERRORS)
-        for j, step in enumerate(STEPS):
-            ahead, behind = (_displaced(camera, j, sign * step).project(points) for sign in (1.0, -1.0))
-            by_camera[:, c, :, own][:, :, j] = ((ahead - behind) / (2.0 * step)).reshape(n, -1)
+        for j, step in enumerate(np.diag(STEPS)):
+            ahead, behind = (displaced(camera, sign * step).project(points) for sign in (1.0, -1.0))
+            by_camera[:, c, :, own][:, :, j] = ((ahead - behind) / (2.0 * STEPS[j])).reshape(n, -1)
     # Turns in units of the size, so that all columns of U are of one kind.
     unit = np.repeat([1.0, 1.0 / size], 3)
     U = by_pose.reshape(n, -1, 6) * unit
@@ -201,20 +218,18 @@ def _by_point(camera: Camera, points_m: Array) -> Array:
     return np.stack([(sides[2 * k] - sides[2 * k + 1]) / (2.0 * step) for k in range(3)], axis=-1)
 
 
-def _displaced(camera: Camera, which: int, step: float) -> Camera:
-    """The camera with one of its parameters displaced."""
-    if which >= INTRINSICS:
-        change = np.zeros(6)
-        change[which - INTRINSICS] = step
-        turn = matrix_from_quat(quat_from_rotvec(change[:3]))
-        return replace(camera, rotation=turn @ camera.rotation, translation_m=camera.translation_m + change[3:])
-    if which >= 4:
-        distortion = camera.distortion.copy()
-        distortion[which - 4] += step
-        return replace(camera, distortion=distortion)
+def displaced(camera: Camera, change: Array) -> Camera:
+    """The camera with its parameters changed by (15,), in the order of CAMERA_ERRORS."""
     matrix = camera.matrix.copy()
-    matrix[((0, 0), (1, 1), (0, 2), (1, 2))[which]] += step
-    return replace(camera, matrix=matrix)
+    matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += change[:4]
+    turn = matrix_from_quat(quat_from_rotvec(change[INTRINSICS : INTRINSICS + 3]))
+    return replace(
+        camera,
+        matrix=matrix,
+        distortion=camera.distortion + change[4:INTRINSICS],
+        rotation=turn @ camera.rotation,
+        translation_m=camera.translation_m + change[INTRINSICS + 3 :],
+    )
 
 
 def _middle_s(track: Track) -> float:

@@ -62,7 +62,7 @@ def fit_track(
             found = FoundThrow(tracked.frames, tracked.throw, smooth(tracked.frames, tracked.throw), ())
         frames, measured, notices = found.independent, found.throw, (*smoothed_notices(track_path), *found.doubts)
         fit = run_fit(frames, measured, die, progress, watch, intervals, table)
-        if frames.shared_errors is not None:
+        if tracked is not None:
             fit = replace(fit, messages=(*fit.messages, *scene.assumptions))
         write_vertices(folder / "vertices.csv", die.solid)
         write_bounces(folder / "bounces.csv", measured.impacts)

@@ -51,6 +51,8 @@ class FoundThrow:
     """All frames, those in flight smoothed."""
     doubts: tuple[str, ...]
     """Sentences that name frames whose poses contradict each other."""
+    cameras: tuple[Camera, ...] = ()
+    """As the throw shows them: the poses lie on their pictures."""
 
 
 def track_only(
@@ -143,8 +145,9 @@ def track_scene(
         for notice in (notice for clip in clips for notice in clip.notices):
             error.add_note(notice)
         raise
+    shown_by = found.cameras if decimation.is_whole else tuple(decimation.camera(camera) for camera in found.cameras)
     return Tracking(
-        tuple(clips), cameras, die, faces, frames, found.independent, found.throw, found.smoothed, followed.offsets,
+        tuple(clips), shown_by, die, faces, frames, found.independent, found.throw, found.smoothed, followed.offsets,
         followed.corners, times.renumbered(clips[0].first_frame, decimation.every), second, found.doubts,
         followed.response, followed.lens,
     )  # fmt: skip
@@ -251,7 +254,8 @@ def find_impacts(
             raise RunError(f"{source}: {error}") from error
         smoothed = found.smoothed_frames
         notices = doubtful_frame_notices(found, smoothed)
-        return FoundThrow(found.independent_frames, flights_only(found.throw), smoothed, notices)
+        cameras = found.calibration.cameras
+        return FoundThrow(found.independent_frames, flights_only(found.throw), smoothed, notices, cameras)
 
 
 def _demand_a_die(frames: Track, source: Path, die: Die) -> None:
