@@ -53,7 +53,7 @@ def without_shared_errors(
     """The residuals (n, 6) and their derivative (n, 6, p), without the shared errors of least cost; `k2` as in
     `least_squares.huber`."""
     shared, weight = observations.shared, observations.shared_weight
-    if shared is None:
+    if shared is None or not shared.sources:
         return FrameResiduals(residuals, jacobian, np.zeros(0), np.zeros((0, jacobian.shape[2])))
     A = observations.whitener @ shared.jacobian
     m = A.shape[2]

@@ -75,6 +75,10 @@ _MAX_REFITS = 6
 _REFIT_TOLERANCE = 0.02
 """Fall of the cost that ends them: a hundredth of what decides an interval."""
 
+_LEAST_PROFILE = 0.1
+"""Width of a profile interval, as a share of that from the covariance, below which the latter counts. A contact that a throw only
+just makes is lost as soon as a parameter moves. The cost then jumps by thousands, and says nothing of what frames determine."""
+
 _AT_BOUND_SIGMAS = 0.01
 """Distance from a bound, in standard errors, within which a value is put on it."""
 
@@ -386,7 +390,11 @@ def _profile(
         ) / scale
 
     value, bounds = trajectory.physics.values[name], trajectory.physics.bounds(name)
-    return profile_interval(value, sigma, bounds, excess, level=INTERVAL_LEVEL)
+    low, high = profile_interval(value, sigma, bounds, excess, level=INTERVAL_LEVEL)
+    wide = normal_quantile(INTERVAL_LEVEL) * sigma
+    if high - low < _LEAST_PROFILE * 2.0 * wide and low > bounds[0] and high < bounds[1]:
+        return max(bounds[0], value - wide), min(bounds[1], value + wide)
+    return low, high
 
 
 def _converged_cost(trajectory: Trajectory, k2: float) -> float:

@@ -64,11 +64,11 @@ BELIEVED_SHARE = 0.5
 """Share of its frames above which a flight is believed."""
 OFF_FLIGHT_RAD = 0.2
 """Angle [rad] from a flight at which a frame does not lie on it, whatever the errors of its pose, nor takes its labelling."""
-CHANGING_SHARE = 0.09
+CHANGING_SHARE = 0.5
 """Share of the variance of the errors that all frames share by which these differ from flight to flight and change within one: as
-the die turns, light falls on other faces. On flights of 100 frames or more of ten rendered clips these errors change by a tenth
-to a third of their standard deviation. Taken as wholly independent (a share of 1), they made intervals of the restitution three
-times too wide, and the estimates less accurate."""
+the die turns, light falls on other faces. It trades width of intervals for their coverage. On 27 random clips whose track did not
+fail, errors of the restitution over their standard errors had an rms of 0.82, 0.94, 1.10 and 1.43 with shares of 1, 0.5, 0.25 and
+0.09, and half of them were smaller than 6, 3, 2 and 4 in ten thousand; on ten clips of good pictures the rms is 0.8 with 0.5."""
 DRAWS = 2000
 """Random draws behind the interval of a restitution."""
 SEED = 20120404
