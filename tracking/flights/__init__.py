@@ -23,8 +23,10 @@ from .single_flights import fit_flights as fit_flights
 from .single_flights import fit_states as fit_states
 from .single_flights import flight_residuals as flight_residuals
 from .single_flights import left_jacobians as left_jacobians
+from .single_flights import packed as packed
 from .single_flights import perturbed as perturbed
 from .single_flights import pose_jacobian as pose_jacobian
 from .single_flights import rms_residuals as rms_residuals
 from .single_flights import transition_matrices as transition_matrices
 from .single_flights import transition_matrix as transition_matrix
+from .single_flights import unpacked as unpacked

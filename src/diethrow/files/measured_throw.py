@@ -26,8 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.die import Die
-from ..model.throw import Flight, Impact, State, Throw
+from ..model.throw import Flight, Impact, Throw
 from ..tracking.clip_parameters import CornerRounding
+from ..tracking.flights import packed, unpacked
 from ..tracking.surface_marks import FaceNumbers, with_numbers
 from ..tracking.track import CALIBRATION, CLOCK, DIE, PICTURE, SharedErrors, Track
 
@@ -73,7 +74,7 @@ def write_measured_throw(track_path: Path, tracked: TrackedThrow) -> None:
         throw_path(track_path),
         format=np.array(FORMAT),
         frame=tracked.frames.frame,
-        flight_state=np.array([_packed(flight.start) for flight in flights]),
+        flight_state=np.array([packed(flight.start) for flight in flights]),
         flight_end_s=np.array([flight.end_s for flight in flights]),
         flight_covariance=np.array([unknown if one.covariance is None else one.covariance for one in flights]),
         impact_numbers=np.array([_numbers(impact) for impact in impacts]).reshape(-1, len(IMPACT_COLUMNS)),
@@ -140,7 +141,7 @@ def _tracked_throw(arrays: dict[str, NDArray], frames: Track, die: Die) -> Track
         arrays["flight_state"], arrays["flight_end_s"], arrays["flight_covariance"], strict=True
     ):
         known = covariance if np.isfinite(covariance).all() else None
-        flights.append(Flight(_unpacked(state), float(end_s), known, frames.gravity_m_s2))
+        flights.append(Flight(unpacked(state), float(end_s), known, frames.gravity_m_s2))
     words = zip(arrays["impact_contact"], arrays["impact_vertices"], strict=True)
     impacts = [
         _impact(numbers, str(contact), str(vertices))
@@ -154,14 +155,6 @@ def _tracked_throw(arrays: dict[str, NDArray], frames: Track, die: Die) -> Track
         with_numbers(die, FaceNumbers(numbers, 1.0, "")),
         numbers,
     )
-
-
-def _packed(state: State) -> Array:
-    return np.concatenate([[state.time_s], state.position_m, state.quaternion, state.velocity_m_s, state.omega_rad_s])
-
-
-def _unpacked(numbers: Array) -> State:
-    return State(float(numbers[0]), numbers[1:4], numbers[4:8], numbers[8:11], numbers[11:14])
 
 
 def _numbers(impact: Impact) -> list[float]:
