@@ -80,6 +80,5 @@ class Fit:
     """(12 + k, 12 + k) of `initial` and of the k free parameters in the order of `parameters`; None if no such fit was
     made."""
     variance_shares: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    """Shares of the variance of each parameter, which add up to 1: `noise` of the frames, errors that all frames share by source
-    (`picture`, `calibration`, `die`, `clock`), and `impact law`, what the residuals show beyond all of these. Empty where frames
-    share no error."""
+    """Shares of the variance of each parameter, which add up to 1: `noise` of the frames, `calibration`, `die`, `clock`, and
+    `impact law`, what the residuals show beyond all of these. Empty where cameras, die and clock are exact."""

@@ -21,13 +21,13 @@ ABSENT = "absent"
 
 @dataclass(frozen=True, eq=False)
 class SharedErrors:
-    """Errors that all frames of a clip share: of contours and light in its pictures, and of cameras, die and clock that are known
-    only so far. They are independent of each other, and each counts in its own standard deviation."""
+    """Errors that all frames of a clip share, because cameras, die and clock are known only so far. They are independent of each
+    other, and each counts in its own standard deviation."""
 
     jacobian: Array
     """(n, 6, m) change of each frame's pose [m, rad], world axes, by one standard deviation of each; NaN without a pose."""
     sources: tuple[str, ...]
-    """(m,) what each comes from: PICTURE, CALIBRATION, DIE or CLOCK."""
+    """(m,) what each comes from: CALIBRATION, DIE or CLOCK."""
     subtracted: Array
     """(m,) how much of each the poses have had subtracted [standard deviations]."""
 
@@ -35,19 +35,9 @@ class SharedErrors:
         """Those of some of the frames."""
         return SharedErrors(self.jacobian[which], self.sources, self.subtracted)
 
-    def from_source(self, source: str) -> SharedErrors:
-        """Those that come from one source."""
-        own = np.array([one == source for one in self.sources], bool)
-        return SharedErrors(self.jacobian[:, :, own], (source,) * int(own.sum()), self.subtracted[own])
 
-    def with_others(self, others: SharedErrors) -> SharedErrors:
-        """These and others of the same frames."""
-        jacobian = np.concatenate([self.jacobian, others.jacobian], axis=2)
-        return SharedErrors(jacobian, (*self.sources, *others.sources), np.append(self.subtracted, others.subtracted))
-
-
-PICTURE, CALIBRATION, DIE, CLOCK = "picture", "calibration", "die", "clock"
-"""Sources of shared errors: contours and light, cameras, the edge of the die, the frame rate."""
+CALIBRATION, DIE, CLOCK = "calibration", "die", "clock"
+"""Sources of shared errors: cameras, the edge of the die, the frame rate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +71,8 @@ class Track:
     response_sigma: float = 0.0
     """Standard deviation of the exponent of the response, grey = light ** exponent, from that with which the poses were found."""
     shared_errors: SharedErrors | None = None
-    """Those that a fit of the whole throw integrates out; None where they are part of `covariance`, or frames share none."""
+    """Those that a fit of the whole throw integrates out; None where they are part of `covariance`, or cameras, die and clock are
+    exact."""
     gravity_m_s2: float = GRAVITY_M_S2
     """Of the place where the die was filmed, along -z. In no file: the scene says it."""
 

@@ -51,7 +51,7 @@ class FlightObservations:
     interval_s: float
     """Between frames of the track."""
     shared: SharedErrors | None = None
-    """Errors that these frames share; None where they share none."""
+    """Errors of these frames by cameras, die and clock; None where these are exact."""
     shared_weight: float = 1.0
     """Of the prior of these errors: what multiplies the covariances of a fit to these frames."""
 

@@ -1,4 +1,4 @@
-"""Errors that all frames share, in the fit of a throw: those of contours and light, and of cameras, die and clock.
+"""Errors that all frames share, in the fit of a throw: those of cameras, die and clock as far as they are not known.
 
 With u such errors in standard deviations and A their whitened derivative, the cost of a throw is the least over u of
 
@@ -12,7 +12,7 @@ out, and its intervals contain what the errors leave open.
 The weight w of the prior is 1 while frames are as good as stated. Covariances are multiplied by what the residuals show beyond
 that (`variance_inflation`), which the prior must not be: its weight is then that factor.
 
-Where frames share no error, nothing is computed.
+Where nothing is unknown, nothing is computed.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def without_shared_errors(
     """The residuals (n, 6) and their derivative (n, 6, p), without the shared errors of least cost; `k2` as in
     `least_squares.huber`."""
     shared, weight = observations.shared, observations.shared_weight
-    if shared is None or not shared.sources:
+    if shared is None:
         return FrameResiduals(residuals, jacobian, np.zeros(0), np.zeros((0, jacobian.shape[2])))
     A = observations.whitener @ shared.jacobian
     m = A.shape[2]

@@ -15,7 +15,6 @@ from scipy.linalg import solve_triangular
 
 from ...model.throw import MAX_STATE_COMPONENT, Propagation, State, Throw
 from ...tracking.flights import left_jacobians, perturbed
-from ...tracking.track import PICTURE
 from ..estimation import (
     COST_TOLERANCE,
     FlightObservations,
@@ -212,8 +211,7 @@ def weighted_as_inflated(trajectory: Trajectory, k2: float) -> Trajectory:
 
 def if_known_exactly(trajectory: Trajectory, k2: float) -> Trajectory:
     """The trajectory with the information that its frames would have if cameras, die and clock were exact."""
-    shared = trajectory.observations.shared
-    exact = replace(trajectory.observations, shared=None if shared is None else shared.from_source(PICTURE))
+    exact = replace(trajectory.observations, shared=None)
     return with_physics(replace(trajectory, observations=exact), trajectory.physics, k2)
 
 

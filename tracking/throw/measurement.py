@@ -18,7 +18,7 @@ from ...model.throw import Flight, Impact, State, Throw, energy_J
 from ..camera import Camera
 from ..covariance import covariance_root
 from ..flights import TABLE_SIGMA_M, FlightChain, Link, WeightedPoses, rms_residuals
-from ..track import PICTURE, SharedErrors, Track
+from ..track import Track
 from .calibration_errors import EXACT, CalibrationErrors, CalibrationEstimate, unknown_errors
 from .contact_clusters import instant_limit_s
 from .contact_search import ContactSearch, follow_contacts, white_errors
@@ -64,11 +64,6 @@ BELIEVED_SHARE = 0.5
 """Share of its frames above which a flight is believed."""
 OFF_FLIGHT_RAD = 0.2
 """Angle [rad] from a flight at which a frame does not lie on it, whatever the errors of its pose, nor takes its labelling."""
-CHANGING_SHARE = 0.5
-"""Share of the variance of the errors that all frames share by which these differ from flight to flight and change within one: as
-the die turns, light falls on other faces. It trades width of intervals for their coverage. On 27 random clips whose track did not
-fail, errors of the restitution over their standard errors had an rms of 0.82, 0.94, 1.10 and 1.43 with shares of 1, 0.5, 0.25 and
-0.09, and half of them were smaller than 6, 3, 2 and 4 in ten thousand; on ten clips of good pictures the rms is 0.8 with 0.5."""
 DRAWS = 2000
 """Random draws behind the interval of a restitution."""
 SEED = 20120404
@@ -105,9 +100,9 @@ class MeasuredThrow:
     @property
     def independent_frames(self) -> Track:
         """`frames_on_table` with covariances for a fit that takes frames as independent: a mean over a flight then has its true
-        uncertainty. What a model is fitted to, together with the errors that they share."""
+        uncertainty. What a model is fitted to, together with the errors of cameras, die and clock."""
         independent = _independent(self.frames_on_table, self.throw, self.chain, self.shared_covariance)
-        errors = _constant_errors(self.shared_covariance).with_others(self.calibration.errors)
+        errors = self.calibration.errors
         return replace(independent, shared_errors=errors) if errors.sources else independent
 
     @property
@@ -383,8 +378,8 @@ def _with_variance(track: Track, use: NDArray[np.int64], variance: Array) -> Arr
 
 
 def _independent(track: Track, throw: Throw, chain: FlightChain, shared_covariance: Array) -> Track:
-    """The track with the long-run variance of the errors, and with the part of the shared covariance that changes, multiplied by
-    the number of frames of a flight. The table determines the shared errors of a die that it supports."""
+    """The track with the long-run variance of the errors, and with the covariance that all frames of a flight share multiplied by
+    the number of its frames. The table determines the shared errors of a die that it supports."""
     use = np.flatnonzero(track.tracked)
     spacing_s = float(np.median(np.diff(track.time_s[use])))
     flight = throw.flights_at(track.time_s[use])
@@ -395,21 +390,8 @@ def _independent(track: Track, throw: Throw, chain: FlightChain, shared_covarian
         use, count = use[count > 0], count[count > 0]
     covariance = track.covariance.copy()
     long_run = _with_variance(track, use, chain.errors.long_run_variance(spacing_s))
-    covariance[use] = long_run + CHANGING_SHARE * count[:, None, None] * shared_covariance[use]
+    covariance[use] = long_run + count[:, None, None] * shared_covariance[use]
     return replace(track, covariance=covariance, pixel_covariance=None)
-
-
-def _constant_errors(shared_covariance: Array) -> SharedErrors:
-    """The errors of a covariance (n, 6, 6) that all frames share, constant over the clip but for the size and the axes that the
-    covariance has at each frame: the columns of its symmetric root, which changes as little as it does."""
-    variances = np.diagonal(shared_covariance, axis1=1, axis2=2).mean(axis=0)
-    if not variances.any():
-        return SharedErrors(np.zeros((len(shared_covariance), 6, 0)), (), np.zeros(0))
-    unit = np.repeat(np.sqrt([variances[:3].mean(), variances[3:].mean()]), 3)
-    unit = np.where(unit > 0.0, unit, 1.0)
-    values, vectors = np.linalg.eigh(shared_covariance / np.outer(unit, unit))
-    root = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ np.swapaxes(vectors, 1, 2)
-    return SharedErrors(unit[:, None] * root, (PICTURE,) * 6, np.zeros(6))
 
 
 def _shared_covariance(track: Track, bias_jacobian: Array, left: Array, use: NDArray[np.int64], flying: int) -> Array:

@@ -30,7 +30,7 @@ from ..model.throw import Flight, Impact, Throw
 from ..tracking.clip_parameters import CornerRounding
 from ..tracking.flights import packed, unpacked
 from ..tracking.surface_marks import FaceNumbers, with_numbers
-from ..tracking.track import CALIBRATION, CLOCK, DIE, PICTURE, SharedErrors, Track
+from ..tracking.track import CALIBRATION, CLOCK, DIE, SharedErrors, Track
 
 Array = NDArray[np.float64]
 
@@ -134,8 +134,8 @@ def _tracked_throw(arrays: dict[str, NDArray], frames: Track, die: Die) -> Track
         if arrays[name].shape != shape:
             raise ValueError(f"{name} of shape {arrays[name].shape}, wanted {shape}")
     sources = tuple(str(source) for source in arrays["shared_sources"])
-    if not set(sources) <= {PICTURE, CALIBRATION, DIE, CLOCK}:
-        raise ValueError(f"shared_sources {sources}, wanted {PICTURE}, {CALIBRATION}, {DIE} or {CLOCK}")
+    if not set(sources) <= {CALIBRATION, DIE, CLOCK}:
+        raise ValueError(f"shared_sources {sources}, wanted {CALIBRATION}, {DIE} or {CLOCK}")
     flights = []
     for state, end_s, covariance in zip(
         arrays["flight_state"], arrays["flight_end_s"], arrays["flight_covariance"], strict=True

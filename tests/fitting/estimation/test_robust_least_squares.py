@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from throws import random_release, seen, true_throw
 
-from diethrow.fitting.estimation.intervals import correlation_time, profile_interval
+from diethrow.fitting.estimation.intervals import correlation_time, profile_interval, variance_inflation
 from diethrow.fitting.estimation.least_squares import (
     HUBER_THRESHOLD,
     compressed,
@@ -102,3 +102,17 @@ def test_an_unknown_that_does_not_move_and_is_beyond_its_bound_by_rounding_harms
 
     x = levenberg_marquardt(evaluate, np.eye(2), np.array([1e-18, -np.inf]), np.array([np.inf, np.inf]))
     assert x == pytest.approx([0.0, 1.0], abs=1e-12)
+
+
+def test_correlated_errors_that_are_stated_as_larger_independent_ones_widen_nothing() -> None:
+    rng = np.random.default_rng(3)
+    keep, n = 0.9, 20_000
+    errors = rng.standard_normal((n, 6))
+    for k in range(1, n):
+        errors[k] = keep * errors[k - 1] + np.sqrt(1.0 - keep**2) * errors[k]
+    flight = np.zeros(n, int)
+    # A mean over n frames has the variance (1 + φ)/((1 - φ) n) = 19/n.
+    for stated, wanted in ((1.0, 19.0), (np.sqrt(19.0), 1.0), (19.0, 1.0)):
+        variance, tau = variance_inflation(errors / stated, errors.size, flight)
+        assert tau == pytest.approx(19.0, rel=0.15)
+        assert variance * tau == pytest.approx(wanted, rel=0.15)

@@ -26,7 +26,7 @@ from diethrow.tracking.throw.calibration_errors import (
     usual_covariance,
 )
 from diethrow.tracking.throw.measurement import measure
-from diethrow.tracking.track import CALIBRATION, CLOCK, DIE, PICTURE, Track
+from diethrow.tracking.track import CALIBRATION, CLOCK, DIE, Track
 
 Array = NDArray[np.float64]
 
@@ -128,9 +128,7 @@ def test_what_is_exact_has_no_unknown() -> None:
     with_exact, plain = (measure(track, CUBE, CAMERA, known=known) for known in (exact, None))
     np.testing.assert_array_equal(with_exact.smoothed_frames.position_m, plain.smoothed_frames.position_m)
     np.testing.assert_array_equal(with_exact.smoothed_frames.covariance, plain.smoothed_frames.covariance)
-    shared = with_exact.independent_frames.shared_errors
-    assert shared is not None
-    assert set(shared.sources) == {PICTURE}
+    assert with_exact.independent_frames.shared_errors is None
 
 
 def test_poses_lie_on_their_pictures_as_the_estimated_camera_shows_them() -> None:
