@@ -51,14 +51,7 @@ from ..picture import (
 from ..pose import ClipPoses, ManualInitialisation, as_track, excluded_rows, exposure_times_s, wholly_in_view
 from ..quality import STANDARD, Quality
 from ..surface_marks import SurfaceMarks
-from ..throw import (
-    EXACT,
-    CalibrationErrors,
-    NoFlightError,
-    decimation_factor,
-    measure_throw,
-    with_calibrated_covariance,
-)
+from ..throw import NoFlightError, decimation_factor, measure_throw, with_calibrated_covariance
 from ..track import ABSENT, LOST, Track
 from .labelling import with_consistent_labels, with_labels_of_marks
 from .refine_on_edges import EdgeRefinement
@@ -101,8 +94,6 @@ class ClipFacts:
     """Whether the response of the cameras is not known, and is estimated."""
     response_sigma: float = 0.0
     """Standard deviation of the exponent of a response that was estimated before."""
-    known: CalibrationErrors = EXACT
-    """How well the cameras, the die's edge and the clock are known."""
 
 
 NO_FACTS = ClipFacts()
@@ -190,8 +181,7 @@ def track_clip(
         corners, sigma_px = radius_in_flight(view, source, track, corners)
         view = with_corner_radius(view, corners.radius_m)
         track = replace(track, contour_sigma_px=sigma_px)
-    every = decimation_factor(track, view.die)
-    calibrated = with_calibrated_covariance(track, view.die, view.camera, known=facts.known, every=every)
+    calibrated = with_calibrated_covariance(track, view.die, view.camera, every=decimation_factor(track, view.die))
     if view.readout_s != 0.0:
         calibrated = _at_frame_times(view, source, calibrated, throw)
     lens = view.lens if view.lens.aperture_m > 0.0 else None

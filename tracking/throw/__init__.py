@@ -12,7 +12,6 @@ from .calibration_errors import CAMERA_ERRORS as CAMERA_ERRORS
 from .calibration_errors import CENTRE_SIGMA_PX as CENTRE_SIGMA_PX
 from .calibration_errors import CLOCK_SHARE as CLOCK_SHARE
 from .calibration_errors import EDGE_SHARE as EDGE_SHARE
-from .calibration_errors import EXACT as EXACT
 from .calibration_errors import FOCAL_SHARE as FOCAL_SHARE
 from .calibration_errors import PLACE_SIGMA_M as PLACE_SIGMA_M
 from .calibration_errors import TURN_SIGMA_RAD as TURN_SIGMA_RAD

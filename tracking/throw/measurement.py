@@ -351,14 +351,12 @@ def weighted_poses(track: Track, use: NDArray[np.int64], unmodelled: float = 1.0
     )  # fmt: skip
 
 
-def with_calibrated_covariance(
-    track: Track, die: Die, camera: Camera | None = None, *, known: CalibrationErrors | None = None, every: int = 1
-) -> Track:
+def with_calibrated_covariance(track: Track, die: Die, camera: Camera | None = None, *, every: int = 1) -> Track:
     """The track with covariances as large as the errors of the poses about their flights, autocorrelated errors included, plus
     the covariance of the errors that all poses share, but for those of the calibration. The poses stay as they are; without a
     flight the track is returned unchanged."""
     try:
-        found = measure(track, die, camera, known=known, every=every)
+        found = measure(track, die, camera, every=every)
     except NoFlightError:
         return track
     use = np.flatnonzero(track.tracked)

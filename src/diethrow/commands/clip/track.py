@@ -218,7 +218,7 @@ def _follow(
     facts = ClipFacts(
         scene.clip.exposure_s, mirror, scene.start, scene.clip.excluded, scene.rounding, level_grey=how.unit_grey,
         readout_s=scene.clip.readout_s, gravity_m_s2=scene.table.gravity_m_s2,
-        estimates_response=scene.clip.response is None, known=scene.known_errors(how.interval_s),
+        estimates_response=scene.clip.response is None,
     )  # fmt: skip
     try:
         return track_clip_in_time(
