@@ -65,10 +65,10 @@ from diethrow.files.provenance import Stopwatch
 from diethrow.files.scene import Scene, SceneError, read_scene
 from diethrow.fitting.results import Fit
 from diethrow.model.die import make_die
-from diethrow.model.rotations import angle_between, matrix_from_quat, quat_from_rotvec
+from diethrow.model.rotations import angle_between, matrix_from_quat
 from diethrow.tracking.covariance import covariance_root
 from diethrow.tracking.quality import QUALITIES
-from diethrow.tracking.throw import CLOCK_SHARE, EDGE_SHARE, usual_covariance
+from diethrow.tracking.throw import CLOCK_SHARE, EDGE_SHARE, displaced, usual_covariance
 
 Array = NDArray[np.float64]
 
@@ -196,17 +196,8 @@ def with_drawn_calibration(scene: Scene, rng: np.random.Generator) -> Scene:
     views = []
     for view in scene.cameras:
         usual = usual_covariance(view.camera)
-        change, camera = covariance_root(usual) @ rng.standard_normal(len(usual)), view.camera
-        matrix = camera.matrix.copy()
-        matrix[0, 0], matrix[1, 1] = matrix[0, 0] + change[0], matrix[1, 1] + change[1]
-        matrix[:2, 2] += change[2:4]
-        moved = replace(
-            camera,
-            matrix=matrix,
-            rotation=matrix_from_quat(quat_from_rotvec(change[9:12])) @ camera.rotation,
-            translation_m=camera.translation_m + change[12:],
-        )
-        views.append(replace(view, camera=moved, calibration=usual))
+        change = covariance_root(usual) @ rng.standard_normal(len(usual))
+        views.append(replace(view, camera=displaced(view.camera, change), calibration=usual))
     die, larger = scene.die, 1.0 + EDGE_SHARE * float(rng.standard_normal())
     die = make_die(
         die.solid.name,
@@ -218,7 +209,7 @@ def with_drawn_calibration(scene: Scene, rng: np.random.Generator) -> Scene:
     )
     fps = scene.clip.fps
     clip = replace(scene.clip, fps=fps and fps * (1.0 + CLOCK_SHARE * float(rng.standard_normal())), fps_sigma=None)
-    return replace(scene, cameras=tuple(views), die=die, clip=clip, edge_share=EDGE_SHARE)
+    return replace(scene, cameras=tuple(views), die=die, clip=clip, edge_sigma_m=None)
 
 
 def rendered_clip(clips: Path, draw: Draw, number: int) -> Path:

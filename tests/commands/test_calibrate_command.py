@@ -13,6 +13,7 @@ from command_line import invoke
 from footage_files import write_cine
 from pictures_of_boards import CHARUCO_BOARD, MATRIX, on_table, picture, poses, table_pose_of
 
+from diethrow.commands.clip.track import input_paths
 from diethrow.files.scene import SceneError, read_scene
 
 OPTIONS = ("--square-mm", "10", "--marker-mm", "7.5")
@@ -66,7 +67,9 @@ def test_the_written_camera_is_that_of_the_pictures_and_fits_a_scene(pictures: l
     text = scene.read_text()
     assert '# calibration = "calibration.json"' in text
     scene.write_text(text.replace("# calibration", "calibration"))
-    known = read_scene(scene).known_errors(None)
+    stated = read_scene(scene)
+    assert tmp_path / "calibration.json" in input_paths(stated)
+    known = stated.known_errors(None)
     assert np.sqrt(known.covariances[0][0, 0]) == pytest.approx(sigma)
     # The pose is the last but the scale of the board, which the camera's place contains.
     np.testing.assert_allclose(known.covariances[0][9:, 9:], C[-7:-1, -7:-1])
@@ -74,6 +77,7 @@ def test_the_written_camera_is_that_of_the_pictures_and_fits_a_scene(pictures: l
         (lambda other: other["intrinsics"]["fx"].update(value=1.0), "another matrix"),
         (lambda other: other["table"].update(translation_m=[0.0, 0.0, 1.0]), "at another place"),
         (lambda other: other.update(covariance=[[1.0]]), r"shape \(1, 1\)"),
+        (lambda other: other["covariance"][0].__setitem__(0, -1.0), "variance below 0"),
     ):
         other = json.loads((out / "calibration.json").read_text())
         change(other)

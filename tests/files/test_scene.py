@@ -395,5 +395,6 @@ def test_how_well_a_scene_is_known_is_stated_or_that_of_a_careful_laboratory(fol
     assert not known.covariances[0].any()
     assert stated.assumptions == ()
     exact = usual.known_exactly()
-    assert exact.known_errors(1.0 / 1500.0).is_exact
+    known = exact.known_errors(1.0 / 1500.0)
+    assert (known.edge_share, known.clock_share, known.covariances[0].any()) == (0.0, 0.0, False)
     assert exact.assumptions == ()

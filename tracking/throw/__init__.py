@@ -16,6 +16,7 @@ from .calibration_errors import FOCAL_SHARE as FOCAL_SHARE
 from .calibration_errors import PLACE_SIGMA_M as PLACE_SIGMA_M
 from .calibration_errors import TURN_SIGMA_RAD as TURN_SIGMA_RAD
 from .calibration_errors import CalibrationErrors as CalibrationErrors
+from .calibration_errors import displaced as displaced
 from .calibration_errors import usual_covariance as usual_covariance
 from .flight_segmentation import ENOUGH_FRAMES as ENOUGH_FRAMES
 from .flight_segmentation import SMALL_MOVE_REACH as SMALL_MOVE_REACH

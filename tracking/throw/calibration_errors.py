@@ -48,8 +48,8 @@ CLOCK_SHARE = 1e-5
 """The same of the frame rate, as a share of it: that of a quartz."""
 
 LEAST_SIGMAS = 0.1
-"""Length [sigmas of all frames together] below which an error of one standard deviation is left out: no frame and no mean over
-frames shows it, and it widens no covariance that does."""
+"""Length [sigmas of all frames together] below which an error of one standard deviation is left out: no mean over frames
+shows it, and beside their noise it widens no covariance."""
 POINTS = np.vstack([np.eye(3), -np.eye(3)])
 """(6, 3) directions of the points about the die's centre, at the circumradius."""
 STEPS = np.array([0.1, 0.1, 0.1, 0.1, 1e-4, 1e-4, 1e-5, 1e-5, 1e-4, *[1e-5] * 3, *[1e-6] * 3])
@@ -67,11 +67,6 @@ class CalibrationErrors:
     """Standard error of the die's edge, as a share of it."""
     clock_share: float
     """Standard error of the frame rate, as a share of it."""
-
-    @property
-    def is_exact(self) -> bool:
-        """Whether nothing is uncertain."""
-        return not (self.edge_share or self.clock_share or any(covariance.any() for covariance in self.covariances))
 
 
 EXACT = CalibrationErrors((), (), 0.0, 0.0)
@@ -96,7 +91,7 @@ class CalibrationEstimate:
     covariance: Array
     """(m, m) of the estimate, in the standard deviations of what was known before."""
     clock: float
-    """By what share a second of the clock is longer than a true one."""
+    """δ, where a second of the clock lasts 1 + δ true seconds."""
     cameras: tuple[Camera, ...]
     """With what the throw shows: the poses lie on their pictures as these cameras show them."""
 
@@ -109,7 +104,7 @@ class CalibrationEstimate:
             return CalibrationEstimate(errors, np.eye(m), 0.0, known.cameras)
         is_clock = np.array([source == CLOCK for source in errors.sources], bool)
         subtracted = np.where(is_clock, 0.0, estimate)
-        clock = -known.clock_share * float(estimate[is_clock].sum())
+        clock = known.clock_share * float(estimate[is_clock].sum())
         changes = (unknown.by_camera @ estimate).reshape(-1, CAMERA_ERRORS)
         cameras = tuple(displaced(camera, change) for camera, change in zip(known.cameras, changes, strict=True))
         return CalibrationEstimate(replace(errors, subtracted=subtracted), covariance, clock, cameras)
@@ -124,7 +119,7 @@ class CalibrationEstimate:
         """The track with the true instants of its frames."""
         if self.clock == 0.0:
             return track
-        return replace(track, time_s=track.time_s - self.clock * (track.time_s - _middle_s(track)))
+        return replace(track, time_s=track.time_s + self.clock * (track.time_s - _middle_s(track)))
 
 
 def usual_covariance(camera: Camera) -> Array:

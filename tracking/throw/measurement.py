@@ -165,22 +165,20 @@ class MeasuredThrow:
         return bool((heights < TABLE_REACH * self.die.solid.edge_m).any())
 
 
-def measure_throw(
-    track: Track, die: Die, camera: Camera | None = None, *, known: CalibrationErrors | None = None, every: int = 1
-) -> Throw:
+def measure_throw(track: Track, die: Die, camera: Camera | None = None, *, every: int = 1) -> Throw:
     """Flights with covariance and impacts with their uncertainty, from the poses of single frames.
 
-    With the camera, the errors that all poses share are estimated, those of a calibration that is `known` only so far among them;
-    without `known` cameras, die and clock are exact. What follows the last flight, where the die rolls or rests, is
+    With the camera, the errors that all poses share are estimated. What follows the last flight, where the die rolls or rests, is
     an impact `held` and a flight without covariance (`SupportedMotion`). The flights are fitted to one in `every` tracked frames.
     Raises NoFlightError if fewer than three of those in a row are tracked."""
-    return measure(track, die, camera, known=known, every=every).throw
+    return measure(track, die, camera, every=every).throw
 
 
 def measure(
     track: Track, die: Die, camera: Camera | None = None, *, known: CalibrationErrors | None = None, every: int = 1
 ) -> MeasuredThrow:
-    """As `measure_throw`, with what was estimated of all frames."""
+    """As `measure_throw`, with what was estimated of all frames. The errors of cameras, die and clock that are `known` only so
+    far are estimated too; left out, these are exact."""
     use = _usable_rows(track, die, every)
     bias_jacobian = unknown = np.zeros((len(track), 6, 0))
     observations = weighted_poses(track, use, UNMODELLED_SHARE)

@@ -6,7 +6,6 @@ cameras are required by the commands that need them (`Scene.views`): a fit to so
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -33,6 +32,7 @@ from ..tracking.throw import (
     CalibrationErrors,
     usual_covariance,
 )
+from .csv_and_json import read_json
 from .die_and_table import ESTIMATE, DieTable, Table, TableTable, WorldTable, die_from, table_from
 from .settings import (
     Matrix3,
@@ -62,8 +62,8 @@ ROTATION_TOLERANCE = 1e-4
 """Matrices and quaternions written with four decimals pass, and are replaced by the nearest rotation."""
 EXACT_ROTATION = 1e-12
 """A matrix this near a rotation is used as it stands: the nearest rotation would only change its last digits."""
-EXACT, USUAL = "exact", "usual"
-"""Calibrations that no file states: of rendered clips, and of a careful laboratory, where the scene says nothing."""
+EXACT = "exact"
+"""Instead of a calibration's file: cameras of rendered clips."""
 SAME_NUMBER = 1e-6
 """Relative difference, and metres, up to which a scene and a calibration state the same: numbers may be rounded."""
 LARGEST_EDGE_SHARE = 0.1
@@ -103,10 +103,11 @@ class View:
     camera: Camera
     path: Path | None
     background_path: Path | None
-    calibration: Array
-    """(15, 15) covariance of the camera's parameters, in the order of `tracking.throw.CAMERA_ERRORS`."""
-    calibration_source: str
-    """EXACT, USUAL, or the name of the file that it was read from."""
+    calibration: Array | None
+    """(15, 15) covariance of the camera's parameters, in the order of `tracking.throw.CAMERA_ERRORS`; None where the scene says
+    nothing."""
+    calibration_path: Path | None
+    """The file that it was read from."""
 
 
 @dataclass(frozen=True)
@@ -124,16 +125,19 @@ class Scene:
     """The manual initial pose; None where it is searched for."""
     rounding: CornerRounding = CornerRounding.GIVEN
     """How the radius of the die's corners is found. Where the file does not give it, it is 0 in `die`."""
-    edge_share: float = EDGE_SHARE
-    """Standard error of the die's edge, as a share of it."""
-    edge_share_is_stated: bool = False
-    """Whether the file says it."""
+    edge_sigma_m: float | None = None
+    """Standard error of the die's edge; None where the scene says nothing."""
 
     def known_errors(self, interval_s: float | None) -> CalibrationErrors:
-        """How well cameras, die and clock are known, with frames so far apart; None for a single frame, which has no rate."""
-        share = CLOCK_SHARE if self.clip.fps_sigma is None else self.clip.fps_sigma * (interval_s or 0.0)
+        """How well cameras, die and clock are known, with frames so far apart; None for a single frame, which has no rate. Where
+        the scene says nothing: as a careful laboratory knows them."""
+        edge_share = EDGE_SHARE if self.edge_sigma_m is None else self.edge_sigma_m / self.die.solid.edge_m
+        clock_share = CLOCK_SHARE if self.clip.fps_sigma is None else self.clip.fps_sigma * (interval_s or 0.0)
+        covariances = [
+            usual_covariance(view.camera) if view.calibration is None else view.calibration for view in self.cameras
+        ]
         cameras = tuple(view.camera for view in self.cameras)
-        return CalibrationErrors(cameras, tuple(view.calibration for view in self.cameras), self.edge_share, share)
+        return CalibrationErrors(cameras, tuple(covariances), edge_share, clock_share)
 
     @property
     def assumptions(self) -> tuple[str, ...]:
@@ -142,17 +146,15 @@ class Scene:
             f"the focal length is known to {100.0 * FOCAL_SHARE:g} %, the principal point to {CENTRE_SIGMA_PX:g} px, the "
             f"camera's pose to {np.degrees(TURN_SIGMA_RAD):g} degrees and {1e3 * PLACE_SIGMA_M:g} mm (camera.calibration)"
         )
-        assumed = [camera] if any(view.calibration_source == USUAL for view in self.cameras) else []
-        assumed += [] if self.edge_share_is_stated else [f"the edge to {100.0 * EDGE_SHARE:g} % (die.edge_sigma_m)"]
+        assumed = [camera] if any(view.calibration is None for view in self.cameras) else []
+        assumed += [] if self.edge_sigma_m is not None else [f"the edge to {100.0 * EDGE_SHARE:g} % (die.edge_sigma_m)"]
         return (f"Assumed, since the scene does not say it: {', and '.join(assumed)}.",) if assumed else ()
 
     def known_exactly(self) -> Scene:
         """The scene with cameras, edge and frame rate known exactly, as those of a rendered clip are."""
         exact = np.zeros((CAMERA_ERRORS, CAMERA_ERRORS))
-        views = tuple(replace(view, calibration=exact, calibration_source=EXACT) for view in self.cameras)
-        return replace(
-            self, cameras=views, clip=replace(self.clip, fps_sigma=0.0), edge_share=0.0, edge_share_is_stated=True
-        )
+        views = tuple(replace(view, calibration=exact, calibration_path=None) for view in self.cameras)
+        return replace(self, cameras=views, clip=replace(self.clip, fps_sigma=0.0), edge_sigma_m=0.0)
 
     def views(self) -> tuple[View, ...]:
         """The cameras with their footage; initial poses and the replay use the first one. Raises SceneError where there is no
@@ -206,13 +208,7 @@ def read_scene(path: Path, *, allow_outside: bool = False) -> Scene:
     die = die_from(checked.die, path)
     start = _start(checked.start, clip, views, die, path) if checked.start is not None else None
     table = table_from(checked.table, checked.world)
-    edge_m = checked.die.edge_sigma_m
-    edge_share = EDGE_SHARE if edge_m is None else edge_m / checked.die.edge_m
-    if edge_share > LARGEST_EDGE_SHARE:
-        guess = unit_guess(edge_share, (1e-3, 1e-6), lambda share: share <= LARGEST_EDGE_SHARE)
-        wanted = f"wanted metres, at most a tenth of edge_m = {checked.die.edge_m:g}{guess}"
-        raise refuse(path, "die.edge_sigma_m", edge_m, wanted)
-    return Scene(path, text, clip, views, die, table, start, _rounding(checked.die), edge_share, edge_m is not None)
+    return Scene(path, text, clip, views, die, table, start, _rounding(checked.die), _edge_sigma_m(checked.die, path))
 
 
 # --- the file, as TOML tables ---
@@ -356,6 +352,16 @@ def _clip(table: _ClipTable, path: Path, files: _FilesOfScene) -> ClipSource:
     )
 
 
+def _edge_sigma_m(table: _DieTable, path: Path) -> float | None:
+    """The standard error of the edge. Raises SceneError for one that says nothing of it."""
+    most_m = LARGEST_EDGE_SHARE * table.edge_m
+    if table.edge_sigma_m is not None and table.edge_sigma_m > most_m:
+        guess = unit_guess(table.edge_sigma_m, (1e-3, 1e-6), lambda sigma: sigma <= most_m)
+        wanted = f"wanted metres, at most a tenth of edge_m = {table.edge_m:g}{guess}"
+        raise refuse(path, "die.edge_sigma_m", table.edge_sigma_m, wanted)
+    return table.edge_sigma_m
+
+
 def _fps_sigma(table: _ClipTable, path: Path) -> float | None:
     """The standard error of the rate. Raises SceneError for one that says nothing of it."""
     if table.fps_sigma is not None and table.fps and table.fps_sigma > LARGEST_FPS_SHARE * table.fps:
@@ -465,18 +471,20 @@ def _view(table: _CameraTable, key: str, clip: ClipSource, path: Path, files: _F
     )
 
 
-def _calibration(given: str | None, camera: Camera, key: str, path: Path, files: _FilesOfScene) -> tuple[Array, str]:
-    """The covariance of a camera's parameters, and where it is from. Raises SceneError for a file that is none, or of another
-    camera."""
+def _calibration(
+    given: str | None, camera: Camera, key: str, path: Path, files: _FilesOfScene
+) -> tuple[Array | None, Path | None]:
+    """The covariance of a camera's parameters, and the file that it is from. Raises SceneError for a file that is none, or of
+    another camera."""
     if given is None:
-        return usual_covariance(camera), USUAL
+        return None, None
     if given == EXACT:
-        return np.zeros((CAMERA_ERRORS, CAMERA_ERRORS)), EXACT
+        return np.zeros((CAMERA_ERRORS, CAMERA_ERRORS)), None
     wanted = "the path of the calibration.json that diethrow calibrate wrote, relative to the scene file"
     file = files.existing(given, f"{key}.calibration", wanted)
     assert file is not None
     try:
-        return _stated_covariance(file, camera), file.name
+        return _stated_covariance(file, camera), file
     except ValueError as error:
         raise refuse(path, f"{key}.calibration", given, f'{error}; wanted {wanted}, or "{EXACT}"') from error
 
@@ -485,19 +493,19 @@ def _stated_covariance(file: Path, camera: Camera) -> Array:
     """(15, 15) covariance of a camera's parameters in a `calibration.json`; a pose that it does not hold is as usual. Raises
     ValueError for a file that holds none, or is of another camera."""
     try:
-        record = json.loads(file.read_text(encoding="utf-8"))
-        names, stated = (
-            [JOINT.index(name) for name in record["covariance_names"]],
-            np.array(record["covariance"], float),
-        )
+        record = read_json(file)
+        names = [JOINT.index(name) for name in record["covariance_names"]]
+        stated = np.array(record["covariance"], float)
         values = np.array([record["intrinsics"][name]["value"] for name in INTRINSICS], float)
         table = record["table"]
         pose = None if table is None else (np.array(table["rotation"], float), np.array(table["translation_m"], float))
-    except (OSError, UnicodeDecodeError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{file.name} is no record of a calibration ({type(error).__name__}: {error})") from error
     covariance = np.zeros((len(JOINT), len(JOINT)))
     if stated.shape != (len(names), len(names)) or not np.isfinite(stated).all():
         raise ValueError(f"{file.name} has a covariance of shape {stated.shape} for {len(names)} numbers")
+    if (np.diag(stated) < 0.0).any():
+        raise ValueError(f"{file.name} has a variance below 0")
     covariance[np.ix_(names, names)] = stated
     K = camera.matrix
     own = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *camera.distortion])

@@ -82,10 +82,10 @@ def with_shared_errors(track: Track, rng: np.random.Generator, size: float) -> T
     """The track with errors that all frames share drawn and added: the world tilted, and the camera too far away."""
     n = len(track)
     jacobian = np.zeros((n, 6, 3))
-    lean = size * np.eye(3)
+    tilt = size * np.eye(3)
     for k in range(2):
-        jacobian[:, :3, k] = np.cross(lean[k], track.position_m - [0.0, 0.6, 0.4])
-        jacobian[:, 3:, k] = lean[k]
+        jacobian[:, :3, k] = np.cross(tilt[k], track.position_m - [0.0, 0.6, 0.4])
+        jacobian[:, 3:, k] = tilt[k]
     jacobian[:, :3, 2] = size * (track.position_m - [0.0, -0.5, 0.4])
     change = jacobian @ rng.standard_normal(3)
     return replace(

@@ -122,7 +122,6 @@ def test_a_longer_edge_looks_nearer_and_a_fast_clock_ahead() -> None:
 
 def test_what_is_exact_has_no_unknown() -> None:
     track = seen(some_throw(), np.random.default_rng(1))
-    assert EXACT.is_exact
     assert unknown_errors(EXACT, track, CUBE).errors.sources == ()
     exact = CalibrationErrors((CAMERA,), (np.zeros((15, 15)),), 0.0, 0.0)
     with_exact, plain = (measure(track, CUBE, CAMERA, known=known) for known in (exact, None))
