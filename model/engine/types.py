@@ -76,6 +76,8 @@ class AsymmetricBody(NamedTuple):
     """(3,) [kg m²], ascending."""
     radius: float
     """[m] of the farthest vertex."""
+    safe_tilt_cosines: Array
+    """(n,) as of `Body`; above 1 for a vertex that lies on no axis of symmetry of the inertia."""
 
 
 # --- Impact laws ---

@@ -30,6 +30,9 @@ MAX_STATE_COMPONENT = {"position_m": 9e12, "velocity_m_s": 1e8, "omega_rad_s": 1
 QUATERNION_LENGTH_TOLERANCE = 1e-6
 """Deviation from length 1 within which a quaternion is normalised; a larger one is not a rotation written with six digits."""
 
+EQUAL_MOMENTS = 1e-12
+"""Difference of two moments of inertia, as a share of the largest, that is rounding."""
+
 RELEASE_DEPTH_TOLERANCE = 1e-9
 """Depth, in circumradii, at which a vertex may start below the table: rounding of a pose written with ten digits."""
 
@@ -80,6 +83,7 @@ def asymmetric_body_of(die: Die) -> tuple[engine.AsymmetricBody, Array]:
         float(die.mass_kg),
         moments,
         float(np.linalg.norm(vertices, axis=1).max()),
+        np.where(_on_axis_of_symmetry(vertices, moments), safe_tilt_cosines(vertices), np.inf),
     )
     return body, quat_from_matrix(axes)
 
@@ -237,6 +241,17 @@ def safe_tilt_cosines(vertices: Array) -> Array:
     tilt = np.arctan2(lengths[:, None] - lengths * cosine, lengths * sine)
     np.fill_diagonal(tilt, np.pi)
     return np.asarray(np.cos(tilt.min(1)))
+
+
+def _on_axis_of_symmetry(vertices: Array, moments: Array) -> NDArray[np.bool_]:
+    """(n,) whether the inertia is the same about all lines across that from the centre of mass to each vertex (n, 3), both in
+    principal axes."""
+    towards = vertices / np.linalg.norm(vertices, axis=1)[:, None]
+    along = np.sum(towards**2 * moments, axis=1)
+    is_principal = np.linalg.norm(towards * moments - along[:, None] * towards, axis=1) < EQUAL_MOMENTS * moments.max()
+    nearest = np.abs(moments - along[:, None]).argmin(axis=1)
+    across = np.array([np.delete(moments, k) for k in nearest])
+    return np.asarray(is_principal & (np.ptp(across, axis=1) < EQUAL_MOMENTS * moments.max()))
 
 
 def _shifted_state(die: Die, state: State, sign: float) -> State:

@@ -18,7 +18,8 @@ V is convex, and E' never grows. Let u* be the tilt at which another vertex can 
 and the line is steeper than that, it stays steeper: no other vertex ever touches, and the die spins for ever
 (SPINNING), whether it still bounces or not. A die that touches with others now and then, ever more faintly, escapes
 this proof. It is given up after 1000 √(R/g) without the energy to stand up (SPUN_LONG), and at χ above 0.9, where every
-die loses energy slowly, after 0.1/(1 - χ) times as long.
+die loses energy slowly, after 0.1/(1 - χ) times as long. A body with several moments of inertia is proved to spin for ever
+only on a vertex on an axis of symmetry of its inertia (`engine.asymmetric`).
 
 **Balance.** A die that is exactly balanced on a vertex or an edge stays there (BALANCED). A neighbouring state falls.
 

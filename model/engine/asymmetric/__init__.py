@@ -29,6 +29,15 @@ E = m g z + m v_z²/2 + T never grows. To leave the face that the plumb line fro
 an attitude where that line goes through one of its edges. The centre is then at least as high as the edge is far from it, d, and
 u lies on the arc over that edge. So the face is decided once E < m g d + L_z²/(2 max u·I u) for each of its edges. A die that
 lies on a face and is pressed there at rest is decided too, however fast it spins.
+
+**Spinning.** Where a vertex lies on an axis of symmetry of the inertia, as the tip of a dipyramid does, its forces have no moment
+about that axis, and the angular momentum along it, L_a, is constant while no other vertex touches. With the moments I along the
+axis and I' across it, and with u the cosine of its tilt, every state satisfies
+
+    E ≥ m g |r| u + L_a²/(2I) + (L_z - L_a u)²/(2 I' (1 - u²)),
+
+and the proof of `throw.simulate` holds as it stands. About other vertices nothing is known to be constant, and no spin is called
+endless: a die that stays in contact for 1000 √(R/g) without an impact is given up.
 """
 
 from .event_loop import asymmetric_states_at as asymmetric_states_at

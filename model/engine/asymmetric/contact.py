@@ -10,7 +10,7 @@ from math import asin, ceil, inf, pi, sqrt
 from ...compiled import inner
 from ..attitude import body_angular_velocity, to_table_axes, vertical_in_body
 from ..flight import table_height, table_velocity
-from ..rest import lowest_face_row
+from ..rest import MARGIN_OF_PROOF, lowest_face_row
 from ..types import ROUNDING_BOUND, STANDING_HEIGHT, Array, AsymmetricBody, Contact, Indices, Plane
 from .motion import clearance, free_acceleration, response, rotational_energy, unit_torque, vertex_velocity
 
@@ -218,6 +218,29 @@ def decided_face(body: AsymmetricBody, plane: Plane, y: Array) -> int:
             if energy >= body.mass * plane.g * body.edge_heights[e] + kept:
                 return -1
     return face
+
+
+@inner
+def spins_forever(body: AsymmetricBody, plane: Plane, y: Array, i: int) -> bool:
+    """Whether the die spins on vertex i, on a table at rest, and can never touch it with another one."""
+    limit = body.safe_tilt_cosines[i]
+    if limit > 1.0:
+        return False
+    a, b, c = body.vertices[i, 0], body.vertices[i, 1], body.vertices[i, 2]
+    size = sqrt(a * a + b * b + c * c)
+    a, b, c = -a / size, -b / size, -c / size
+    x, z, v = vertical_in_body(y)
+    p, q, r = body_angular_velocity(body, y)
+    i1, i2, i3 = body.moments[0], body.moments[1], body.moments[2]
+    along = a * i1 * p + b * i2 * q + c * i3 * r
+    inertia_along = a * a * i1 + b * b * i2 + c * c * i3
+    inertia_across = 0.5 * (i1 + i2 + i3 - inertia_along)
+    across = y[12] - along * limit
+    needed = body.mass * plane.g * size * limit + 0.5 * along * along / inertia_along
+    needed += 0.5 * across * across / (inertia_across * (1.0 - limit * limit))
+    energy = body.mass * (plane.g * y[2] + 0.5 * y[9] * y[9]) + rotational_energy(body, y)
+    upright = a * x + b * z + c * v
+    return bool(upright > limit + MARGIN_OF_PROOF and needed > energy * (1.0 + MARGIN_OF_PROOF))
 
 
 @inner

@@ -13,7 +13,7 @@ import numpy as np
 from ...compiled import compiled, inner
 from ..attitude import to_angular_momentum, to_angular_velocity
 from ..log import with_knot, with_room, write_event
-from ..rest import MAX_ZERO_STEPS, chatter_speed, nudge_s
+from ..rest import MAX_ZERO_STEPS, TIMEOUT, chatter_speed, nudge_s
 from ..types import (
     BALANCED,
     IMPACT_CAP,
@@ -26,6 +26,7 @@ from ..types import (
     ROUNDING_BOUND,
     SPINNING,
     TIME_REACHED,
+    TIMED_OUT,
     ZERO,
     Array,
     AsymmetricBody,
@@ -44,6 +45,7 @@ from .contact import (
     project_on_contact,
     resolve_contacts,
     spin_growth_bound,
+    spins_forever,
 )
 from .motion import (
     MAX_TURN_RAD,
@@ -56,12 +58,8 @@ from .motion import (
     vertex_velocity,
 )
 
-MAX_CONTACT_STEPS = 10_000
-"""Steps in contact without an impact after which a throw with no time limit is reported as spinning for ever, or as balanced.
-No proof stands behind it, unlike `rest.spins_forever`, which needs one moment of inertia."""
-
 BALANCED_ENERGY = 1e-9
-"""Rotational energy in units of m g R below which such a die stands balanced."""
+"""Rotational energy in units of m g R below which a die that was in contact for TIMEOUT stands balanced."""
 
 PULL_TOLERANCE = 1e-10
 """Force, in units of the mass times the largest acceleration, by which a held vertex must be pulled to be released: rounding."""
@@ -216,7 +214,8 @@ def run_asymmetric_throw(
     log, knots = np.empty((rows, LOG_COLUMNS)), Knots(np.empty((rows, KNOT_COLUMNS)), ZERO, NONE, keep)
     chi, slow = law.parameters[0], chatter_speed(law, plane, precision, body.radius)
     at_rest = plane.amplitude == 0.0
-    time, end, impacts, events, steps, zero_step_count = start_time, start_time + duration, 0, 0, 0, 0
+    time, end, impacts, events, zero_step_count = start_time, start_time + duration, 0, 0, 0
+    contact_since, timeout = start_time, TIMEOUT * sqrt(body.radius / plane.g)
     i, j, face, ending = -1, -1, -1, NOT_ENDED
     begins = True  # whether an event has just happened: only then can the face become decided
     while True:
@@ -226,6 +225,7 @@ def run_asymmetric_throw(
             to_angular_velocity(body, y, shown)
             knots = with_knot(Knots(knots.rows, knots.used, events - 1, keep), time, shown)
         contact = Contact(body, plane, i, j)
+        is_on_one = begins and at_rest and stop_when_decided and i >= 0 and j == -1
         dt, hit, velocity, acceleration = 0.0, _FLIGHT_STEP, 0.0, 0.0
         if j == -2:
             dt = face_contact_duration(body, plane, y, time, i)
@@ -240,6 +240,9 @@ def run_asymmetric_throw(
             hit = _RELEASED
         elif face >= 0 and stop_when_decided and (i >= 0 or not keep):
             ending = RESTED
+            now[:] = y
+        elif is_on_one and spins_forever(body, plane, y, i):
+            ending = SPINNING
             now[:] = y
         else:
             dt, hit, velocity, acceleration = next_event(contact, precision, y, time, end - time, stages, now)
@@ -258,12 +261,13 @@ def run_asymmetric_throw(
                 ending = IMPACTS_REACHED
             elif impacts >= impact_cap:
                 ending = IMPACT_CAP
-        steps = steps + 1 if i >= 0 or reorder else 0
-        if ending == NOT_ENDED and steps > MAX_CONTACT_STEPS and end == inf:
+        if i < 0 and not reorder:
+            contact_since = time
+        if ending == NOT_ENDED and end == inf and time > contact_since + timeout:
             ending = (
                 BALANCED
                 if rotational_energy(body, y) < BALANCED_ENERGY * body.mass * plane.g * body.radius
-                else SPINNING
+                else TIMED_OUT
             )
         if ending != NOT_ENDED:
             to_angular_velocity(body, y, shown)

@@ -222,6 +222,7 @@ def _with_one_vertex(body: AsymmetricBody, i: int) -> AsymmetricBody:
         body.mass,
         body.moments,
         body.radius,
+        body.safe_tilt_cosines[i : i + 1],
     )
 
 

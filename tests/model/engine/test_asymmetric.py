@@ -10,9 +10,19 @@ from scipy.integrate import quad, solve_ivp
 from diethrow.model import throw
 from diethrow.model.die.die import die_from_solid, loaded_die
 from diethrow.model.die.solid import convex_solid, isohedral_solid, truncated_dipyramid
-from diethrow.model.engine.types import IMPACTS_REACHED, LEVEL, RESTED, SPINNING, TIME_REACHED, Law, Plane, SmoothLaw
+from diethrow.model.engine.types import (
+    IMPACTS_REACHED,
+    LEVEL,
+    RESTED,
+    SPINNING,
+    TIME_REACHED,
+    TIMED_OUT,
+    Law,
+    Plane,
+    SmoothLaw,
+)
 from diethrow.model.laws import SmoothImpact
-from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotation_between
+from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.asymmetric_throw import throw_asymmetric_die
 from diethrow.model.throw.body import centre_of_mass_state, centroid_state
 from diethrow.model.throw.motion import State, energy_J
@@ -345,15 +355,66 @@ def test_a_die_held_on_one_vertex_follows_newtons_and_eulers_equations_with_a_co
     assert end[9] == pytest.approx(other[13], abs=1e-11)
 
 
-def test_a_stable_spin_on_a_vertex_ends_as_spinning():
-    """Stable while L² > 4 m g h I (the sleeping top with a free foot): 600 rad/s is far above that."""
-    die = die_from_solid(truncated_dipyramid(5, 0.012, 0.02, 0.0), 0.016)
-    tilt = quat_from_rotvec([0.02, 0.0, 0.0])
-    low = float((die.solid.vertices @ matrix_from_quat(tilt)[2]).min())
-    release = State(0.0, np.array([0, 0, -low]), tilt, np.zeros(3), np.array([0.0, 0.0, 600.0]))
-    throw = throw_asymmetric_die(die, release, smooth(0.3))
-    assert throw.code == SPINNING
-    assert throw.landed_face is None
+TOPS = {
+    "dipyramid": die_from_solid(truncated_dipyramid(5, 0.012, 0.02, 0.0), 0.016),
+    "flat dipyramid": die_from_solid(truncated_dipyramid(5, 0.02, 0.009, 0.0), 0.016),
+    "cube loaded on its diagonal": loaded_die(isohedral_solid("cube", 0.02), 0.011, 0.005, [0.003, 0.003, 0.003]),
+}
+"""Bodies with an axis of symmetry of their inertia that goes through a vertex, and only there."""
+
+
+def spun_on_its_lowest_vertex(die, up: np.ndarray, tilt_rad: float, spin_rad_s: float) -> State:
+    """A release just above the table, turned so that a body axis `up` (3,) leans by an angle, with a spin about it."""
+    axis = np.cross(up, [0.0, 0.0, 1.0])
+    angle = np.arccos(up[2] / np.linalg.norm(up))
+    upright = quat_from_rotvec(angle * axis / max(np.linalg.norm(axis), 1e-300))
+    turned = quat_multiply(quat_from_rotvec([tilt_rad, 0.0, 0.0]), upright)
+    rotation = matrix_from_quat(turned)
+    low = float((die.solid.vertices @ rotation[2]).min())
+    spin = spin_rad_s * (rotation @ up) / np.linalg.norm(up)
+    return State(0.0, np.array([0.0, 0.0, 1e-5 - low]), turned, np.zeros(3), spin)
+
+
+def tips(die) -> np.ndarray:
+    """(k, 3) the vertices on an axis of symmetry of the inertia, from the centre of mass, in body axes."""
+    body, axes = throw.asymmetric_body_of(die)
+    return (body.vertices @ matrix_from_quat(axes).T)[np.isfinite(body.safe_tilt_cosines)]
+
+
+@pytest.mark.parametrize("die", TOPS.values(), ids=TOPS.keys())
+def test_a_top_that_is_proved_to_spin_forever_never_touches_with_another_vertex(die):
+    """The sleeping top with a free foot is stable while L² > 4 m g h I, with the moment I across: far below 600 rad/s."""
+    for tip in tips(die):
+        release = spun_on_its_lowest_vertex(die, -tip, 0.05, 600.0)
+        found = throw_asymmetric_die(die, release, smooth(0.3))
+        assert found.code == SPINNING
+        assert found.landed_face is None
+        on = throw_asymmetric_die(die, release, smooth(0.3), duration_s=found.end_s + 2.0, stop_when_decided=False)
+        states = on.packed_states(np.linspace(found.end_s, found.end_s + 2.0, 400))
+        shift = np.zeros(3) if die.centre_of_mass_m is None else die.centre_of_mass_m
+        heights = ((die.solid.vertices - shift) @ matrix_from_quat(states[:, 3:7])[:, 2, :, None])[..., 0]
+        heights += states[:, 2, None]
+        lowest = np.argsort(heights, axis=1)
+        assert len(np.unique(lowest[:, 0])) == 1
+        assert np.take_along_axis(heights, lowest, axis=1)[:, 1].min() > 1e-4
+
+
+@pytest.mark.parametrize("die", TOPS.values(), ids=TOPS.keys())
+def test_a_top_that_spins_too_slowly_falls_and_is_not_called_spinning(die):
+    for tip in tips(die):
+        release = spun_on_its_lowest_vertex(die, -tip, 0.05, 5.0)
+        assert throw_asymmetric_die(die, release, smooth(0.3)).code == RESTED
+
+
+def test_a_spin_that_no_proof_covers_is_given_up_after_a_time_and_not_called_endless():
+    """A dipyramid a little wider one way: it spins on its tip, but what holds a symmetric top there is no longer constant."""
+    corners = [(s * x, s * y, s * z) for x, y, z in ((0.012, 0, 0), (0, 0.0125, 0), (0, 0, 0.02)) for s in (-1, 1)]
+    die = die_from_solid(convex_solid(corners), 0.01)
+    assert not len(tips(die))
+    release = spun_on_its_lowest_vertex(die, np.array([0.0, 0.0, 1.0]), 0.02, 600.0)
+    found = throw_asymmetric_die(die, release, smooth(0.3))
+    assert found.code == TIMED_OUT
+    assert found.end_s > 1000.0 * np.sqrt(0.02 / GRAVITY_M_S2)
 
 
 def test_an_unsupported_throw_raises_an_error():
