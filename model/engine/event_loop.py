@@ -30,12 +30,14 @@ from .held_contact import (
     pressed_set,
     project_on_contact,
     remove_normal_velocity,
+    simultaneous_impact,
     simultaneous_inelastic_impact,
     step_workspace,
     touching_set,
+    without_held,
 )
-from .impact import apply_impact
-from .log import bits_of, copy_to, state_after, with_knot, with_room, write_event
+from .impact import apply_impact, restitution_at
+from .log import bits_of, bits_of_rows, copy_to, state_after, with_knot, with_room, write_event
 from .rest import (
     MAX_ZERO_STEPS,
     chatter_speed,
@@ -49,6 +51,7 @@ from .rest import (
 )
 from .sliding_contact import FRICTION_STANDING_HEIGHT, FRICTION_STEP_PART, follow_sliding_contact, move_freely
 from .types import (
+    APPROACHING,
     FALSE,
     IMPACT_CAP,
     IMPACTS_REACHED,
@@ -106,7 +109,7 @@ def run_throw(
         face = decided_face(body, law, plane, state) if fixed else -1
         if fixed and is_energetic(body, plane, state):
             last_energetic_time = time
-        ending, hit, dt = NOT_ENDED, NONE, 0.0
+        ending, hit, dt, together, struck, slides = NOT_ENDED, NONE, 0.0, 1, 0.0, rough and i >= 0
         reorder = False  # whether what is held is to be found anew
         if i < 0:
             if face >= 0 and stop_when_decided and not keep:
@@ -114,7 +117,7 @@ def run_throw(
             spin = spin_rate(state)
             height_terms(body.vertices, state, spin, terms)
             falling = FallingDie(state[2], state[9], spin, body.radius)
-            dt, hit, velocity, acceleration = first_touch(
+            dt, hit, velocity, acceleration, together = first_touch(
                 terms, falling, plane, time, precision.contact_tolerance, end - time
             )
             if face >= 0 and stop_when_decided:
@@ -164,7 +167,8 @@ def run_throw(
             if not reorder:
                 i, j = NONE, NONE
             if hit >= 0:
-                reorder = vertex_velocity(body, plane, state, time, hit) >= -slow
+                velocity, together = vertex_velocity(body, plane, state, time, hit), 2
+                reorder = velocity >= -slow
                 if not reorder and impacts >= impact_limit:
                     return (
                         IMPACTS_REACHED,
@@ -223,9 +227,20 @@ def run_throw(
         elif hit >= 0:
             if impacts >= impact_cap:
                 return IMPACT_CAP, impacts, face, time, state, log[: events if keep else 0], knots.rows[: knots.used]
-            x, y, z = lever_arm(body.vertices[hit], state)
-            arm = (x, y, z - body.corner_radius)
-            apply_impact(law, body.mass, body.inertia, arm, table_velocity(plane, time), state)
+            n = 1
+            if together > 1:
+                near = precision.contact_tolerance + STANDING_HEIGHT * body.radius
+                n = touching_set(body, plane, state, time, near, APPROACHING * velocity, hit, touching)
+                if slides:
+                    n = without_held(touching, n, active, hit)
+                struck = bits_of_rows(touching, n) if n > 1 else 0.0
+            if n > 1 and not rough:
+                simultaneous_impact(body, plane, state, time, restitution_at(law, velocity), touching, n, room)
+            else:
+                struck = -struck
+                x, y, z = lever_arm(body.vertices[hit], state)
+                arm = (x, y, z - body.corner_radius)
+                apply_impact(law, body.mass, body.inertia, arm, table_velocity(plane, time), state)
             i, j = NONE, NONE
             impacts += 1
             last_energetic_time = last_energetic_time if fixed else time
@@ -235,7 +250,7 @@ def run_throw(
                 before[k] = state[k]
             log = with_room(log, events)
             held = bits_of(active) if j == -3 else float(i)
-            write_event(log[events], time, hit, before, state, held, j)
+            write_event(log[events], time, hit, before, state, held, j, struck)
         events += 1
 
 

@@ -14,7 +14,7 @@ from math import cos, inf, sin, sqrt
 from typing import NamedTuple
 
 from ..compiled import compiled, inner
-from .types import ROUNDING_BOUND, Array, Body, Plane
+from .types import ROUNDING_BOUND, STANDING_HEIGHT, Array, Body, Plane
 
 LEAST_BOUND = 1e-3
 """Bound of an upward acceleration, in units of g, where it would be zero or less: kept above 0 for the division."""
@@ -102,19 +102,20 @@ class FallingDie(NamedTuple):
 @compiled
 def first_touch(
     terms: Array, die: FallingDie, plane: Plane, clock: float, tolerance: float, limit: float
-) -> tuple[float, int, float, float]:
+) -> tuple[float, int, float, float, int]:
     """The first instant at which a vertex of `terms` meets the table from above, no later than `limit` [s].
 
     `clock` [s] is the time at the start of the flight, for a table that moves; a vertex no higher than `tolerance` [m]
-    touches. Returns the time [s] from the start of the flight, the row of the vertex (-1: the limit came first), and its
-    vertical velocity (0 where it is only rounding) and acceleration there, relative to the table. Of vertices that touch
-    together the fastest is returned, the first of equals.
+    touches. Returns the time [s] from the start of the flight, the row of the vertex (-1: the limit came first), its
+    vertical velocity (0 where it is only rounding) and acceleration there, relative to the table, and how many come down within
+    STANDING_HEIGHT. Of vertices that touch together the fastest is returned, the first of equals.
     """
     height, velocity, spin, radius = die
     t = 0.0
     g = plane.g
     moving = plane.amplitude != 0.0
     peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
+    near = tolerance + STANDING_HEIGHT * radius
     z_table, v_table, a_table, j_table = 0.0, 0.0, 0.0, 0.0
     v_table_tol, a_table_tol = 0.0, 0.0
     while True:
@@ -131,12 +132,14 @@ def first_touch(
             v_table_tol, a_table_tol = rounded * plane.rate, rounded * plane.rate * plane.rate
         v_tol = v_table_tol + ROUNDING_BOUND * (abs(velocity) + g * t + spin * radius * turned)
         a_tol = a_table_tol + ROUNDING_BOUND * (g + spin * spin * radius * turned)
-        hit, hit_v, hit_a, step = -1, 0.0, 0.0, inf
+        hit, hit_v, hit_a, step, together = -1, 0.0, 0.0, inf, 0
         for i in range(terms.shape[0]):
             a, b, amplitude = terms[i, 0], terms[i, 1], terms[i, 3]
             h = centre + a * c + b * s + terms[i, 2] - z_table
             v = centre_velocity + spin * (b * c - a * s) - v_table
             bound = g + spin * spin * amplitude + peak_table_acceleration
+            if h <= near and v < 0.0:
+                together += 1
             if h > h_tol:
                 root = sqrt(v * v + 2.0 * bound * h)
                 # Two forms of one root, each free of cancellation for its sign of v.
@@ -164,13 +167,13 @@ def first_touch(
                     ahead = 3.0 * acceleration / third
             step = min(step, ahead)
         if hit >= 0:
-            return t, hit, hit_v, hit_a
+            return t, hit, hit_v, hit_a, together
         free = centre - radius - plane.amplitude
         if free > 0.0:
             # No vertex reaches farther down than the circumscribed sphere: fall with it.
             step = max(step, (centre_velocity + sqrt(centre_velocity * centre_velocity + 2.0 * g * free)) / g)
         if t + step > limit:
-            return limit, -1, 0.0, 0.0
+            return limit, -1, 0.0, 0.0, 0
         t += step
 
 
@@ -188,7 +191,7 @@ def touch_of_vertex(terms: Array, die: FallingDie, plane: Plane, clock: float) -
     v = velocity + spin * terms[0, 1] - table_velocity(plane, clock)
     if h < below and v < 0.0:
         return _touch_before(terms, die, plane, clock)
-    t, _, v, acceleration = first_touch(terms, die, plane, clock, 0.0, inf)
+    t, _, v, acceleration, _ = first_touch(terms, die, plane, clock, 0.0, inf)
     return t, _height(terms, die, plane, clock, t) >= below, v, acceleration
 
 

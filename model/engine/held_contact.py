@@ -230,6 +230,17 @@ def touching_set(
 
 
 @inner
+def without_held(touching: Indices, n: int, active: NDArray[np.bool_], also: int) -> int:
+    """Leave of `touching` those that were not held, and `also`; returns their number."""
+    left = 0
+    for m in range(n):
+        if touching[m] == also or not active[touching[m]]:
+            touching[left] = touching[m]
+            left += 1
+    return left
+
+
+@inner
 def solve_normal_forces(
     body: Body, state: Array, touching: Indices, n: int, motion: Array, drive: Array, forces: Array
 ) -> None:
@@ -268,6 +279,18 @@ def simultaneous_inelastic_impact(
         drive[m] = 0.0
     solve_normal_forces(body, state, touching, n, motion, drive, forces)
     state[9], state[10], state[11] = motion[0] + table_velocity(plane, time), motion[1], motion[2]
+
+
+@inner
+def simultaneous_impact(
+    body: Body, plane: Plane, state: Array, time: float, chi: float, touching: Indices, n: int, room: Array
+) -> None:
+    """Apply the smooth impact of all touching vertices at once, in place; see `throw.touch`."""
+    v, p, q = state[9], state[10], state[11]
+    simultaneous_inelastic_impact(body, plane, state, time, touching, n, room)
+    state[9] += chi * (state[9] - v)
+    state[10] += chi * (state[10] - p)
+    state[11] += chi * (state[11] - q)
 
 
 @inner

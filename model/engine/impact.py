@@ -18,6 +18,14 @@ from .friction_impulse import coefficient_at_speed, friction_impulse, spherical_
 from .types import COULOMB, COULOMB_BY_SPEED, COULOMB_FADING, SMOOTH_BY_SPEED, Array, Law, RoughLaw, Vector
 
 
+@inner
+def restitution_at(law: Law, u: float) -> float:
+    """χ of a law without friction at a normal velocity u [m/s]."""
+    if law.code == SMOOTH_BY_SPEED:
+        return coefficient_at_speed(law.parameters[0], max(-u, 0.0), law.parameters[1], law.parameters[2])
+    return law.parameters[0]
+
+
 @compiled
 def smooth_impulse(
     law: Law, mass: float, inertia: float, arm: tuple[float, float, float], v_table: float, state: Array
@@ -25,10 +33,7 @@ def smooth_impulse(
     """`impulse` of a law without friction."""
     x, y, _ = arm
     u = state[9] + state[10] * y - state[11] * x - v_table
-    chi = law.parameters[0]
-    if law.code == SMOOTH_BY_SPEED:
-        chi = coefficient_at_speed(chi, max(-u, 0.0), law.parameters[1], law.parameters[2])
-    return 0.0, 0.0, -(1.0 + chi) * u / (1.0 / mass + (x * x + y * y) / inertia)
+    return 0.0, 0.0, -(1.0 + restitution_at(law, u)) * u / (1.0 / mass + (x * x + y * y) / inertia)
 
 
 @compiled

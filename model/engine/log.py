@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import inner
-from .types import Array, Knots
+from .types import Array, Indices, Knots
 
 
 @inner
@@ -37,8 +37,11 @@ def with_room(rows: Array, used: int) -> Array:
 
 
 @inner
-def write_event(row: Array, time: float, vertex: int, before: Array, after: Array, i: float, j: int) -> None:
-    """Write one event into a row (LOG_COLUMNS,): the states (13,) before and after, and the contact (i, j) from then on."""
+def write_event(
+    row: Array, time: float, vertex: int, before: Array, after: Array, i: float, j: int, together: float
+) -> None:
+    """Write one event into a row (LOG_COLUMNS,): the states (13,) before and after, the contact (i, j) from then on, and the bits
+    of the vertices that touched together."""
     row[0] = time
     row[1] = vertex
     for k in range(13):
@@ -47,6 +50,7 @@ def write_event(row: Array, time: float, vertex: int, before: Array, after: Arra
         row[15 + k] = after[7 + k]
     row[21] = i
     row[22] = j
+    row[23] = together
 
 
 @inner
@@ -77,4 +81,13 @@ def bits_of(active: NDArray[np.bool_]) -> float:
     bits = 0.0
     for k in range(active.shape[0]):
         bits += 2.0**k if active[k] else 0.0
+    return bits
+
+
+@inner
+def bits_of_rows(rows: Indices, n: int) -> float:
+    """The first n vertices of a list as one number, 2^k for vertex k."""
+    bits = 0.0
+    for m in range(n):
+        bits += 2.0 ** rows[m]
     return bits

@@ -191,10 +191,14 @@ follow one another without end) or NO_TOUCH (the prescribed vertex never comes d
 NOT_ENDED = int64(-1)
 """Code where nothing has ended the throw: it goes on."""
 
-LOG_COLUMNS = 23
+LOG_COLUMNS = 24
 """Columns of a logged event: time, vertex (-1: no impact), position (3), quaternion (4), velocities before (6) and after
-(6), and the contact (i, j) that is held from then on. With friction i has the bits of the held vertices set, and j = -3.
-A face of an asymmetric body is held as (row of the face, -2), that of another as (a vertex of it, -2)."""
+(6), the contact (i, j) that is held from then on, and the bits of the vertices that struck at this instant, 0 where that was
+one, and negative where they strike one after the other. With friction i has the bits of the held vertices set, and j = -3. A
+face of an asymmetric body is held as (row of the face, -2), that of another as (a vertex of it, -2)."""
+
+APPROACHING = 1e-9
+"""Speed of approach, as a part of the fastest, from which a vertex that touches at the same instant strikes too: rounding."""
 
 KNOT_COLUMNS = 15
 """Columns of a knot, the state at the beginning of a step in held contact: event that began the contact, time, state."""

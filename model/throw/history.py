@@ -2,7 +2,8 @@
 
 The kernels work in the table's axes, follow the centre of mass, and count heights from the radius of rounded corners. A
 `Throw` is in world axes and of the centroid. A row of the log (`engine.types.LOG_COLUMNS`) holds an event: time, vertex
-or -1, the pose, the velocities before and after, and two numbers for the contact from then on.
+or -1, the pose, the velocities before and after, two numbers for the contact from then on, and the bits of the vertices that
+struck together.
 """
 
 from __future__ import annotations
@@ -122,8 +123,8 @@ def asymmetric_impacts(die: Die, table: Table, log: Array, flights: Sequence[Fli
 def _asymmetric_impact(die: Die, table: Table, row: Array, before: State, after: State, faces: Pair) -> Impact:
     """One logged event of an asymmetric die, from its states in world axes and the lowest faces before and after."""
     strikes = row[1] >= 0
-    vertices = [int(row[1])] if strikes else []
-    arm = after.rotation @ touching_vertices(die)[vertices[0]] if strikes else np.full(3, np.nan)
+    vertices = _struck(row) if strikes else ()
+    arm = after.rotation @ touching_vertices(die)[list(vertices)].mean(axis=0) if strikes else np.full(3, np.nan)
     world_from_table = matrix_from_quat(table.world_from_table)
     up = world_from_table[:, 2]
     arm = arm - die.corner_radius_m * up
@@ -132,8 +133,8 @@ def _asymmetric_impact(die: Die, table: Table, row: Array, before: State, after:
     momentum = die.mass_kg * (row[15:18] - row[9:12])
     return Impact(
         time_s=float(row[0]),
-        contact="vertex" if strikes else "held",
-        vertices=tuple(vertices),
+        contact=_contact_name(len(vertices)) if strikes else "held",
+        vertices=vertices,
         point_m=(after.position_m + arm)[:2],
         impulse_N_s=world_from_table @ momentum,
         normal_velocity_before_m_s=speeds[0],
@@ -173,6 +174,20 @@ def _flight(setup: _Setup, packed: Array, begin: float, end: float, contact: Pai
     return replace(motion, start=motion.at(begin))
 
 
+def _struck(row: Array) -> tuple[int, ...]:
+    """The vertices that an impact strikes: one, or all that touch at its instant."""
+    return _vertices_of_bits(int(row[23])) if row[23] > 0.0 else (int(row[1]),)
+
+
+def _contact_name(count: int) -> str:
+    """Of so many vertices that strike at once."""
+    return {1: "vertex", 2: "edge"}.get(count, "face")
+
+
+def _vertices_of_bits(bits: int) -> tuple[int, ...]:
+    return tuple(v for v in range(bits.bit_length()) if bits >> v & 1)
+
+
 def _contact(row: Array) -> Pair:
     """The two contact numbers of a logged event."""
     return int(row[21]), int(row[22])
@@ -181,7 +196,7 @@ def _contact(row: Array) -> Pair:
 def _held_vertices(contact: Pair) -> tuple[int, ...]:
     """The vertices held from an event on; of a face only one."""
     if contact[1] == HELD_WITH_FRICTION:
-        return tuple(v for v in range(contact[0].bit_length()) if contact[0] >> v & 1)
+        return _vertices_of_bits(contact[0])
     return tuple(v for v in contact if v >= 0)
 
 
@@ -189,14 +204,15 @@ def _impact(setup: _Setup, row: Array, face_before: int, face_after: int) -> Imp
     """One logged event as an impact; `held` if no vertex strikes and only the contact changes."""
     before, after = row[2:15], state_after(row)
     strikes = row[1] >= 0
-    vertices = (int(row[1]),) if strikes else _held_vertices(_contact(row))
-    arm = matrix_from_quat(row[5:9]) @ setup.vertices[vertices[0]] if vertices else np.full(3, np.nan)
+    vertices = _struck(row) if strikes else _held_vertices(_contact(row))
+    at = list(vertices) if strikes else list(vertices[:1])
+    arm = matrix_from_quat(row[5:9]) @ setup.vertices[at].mean(axis=0) if vertices else np.full(3, np.nan)
     arm[2] -= setup.die.corner_radius_m
     table_speed = engine.table_velocity(setup.table.plane, float(row[0]))
     velocity_before, velocity_after = (_normal_velocity(arm, state) - table_speed for state in (before, after))
     return Impact(
         time_s=float(row[0]),
-        contact="vertex" if strikes else "held",
+        contact=_contact_name(len(vertices)) if strikes else "held",
         vertices=vertices,
         point_m=(setup.matrix @ (row[2:5] + arm))[:2],
         impulse_N_s=setup.die.mass_kg * (setup.matrix @ (row[15:18] - row[9:12])),

@@ -105,6 +105,9 @@ class ThrowResult:
     ending: Ending
     landed_face: int | None
     """Number of the face that the die can no longer leave; None if it is not decided."""
+    depends_on_numbering: bool = False
+    """Whether vertices touched the table at one instant and were struck one after the other, the fastest first, and of equals the
+    one with the lowest number: with friction, where no law for several of them at once is known (`touch`)."""
 
     @property
     def impact_count(self) -> int:
@@ -183,7 +186,7 @@ def throw_die(
     )
     ending = Ending.BOUNCING if endless and code == engine.IMPACT_CAP else ENDINGS[code]
     throw = throw_from_log(die, start, float(release.time_s), log, end, knots, table)
-    return ThrowResult(throw, ending, int(face) + 1 if face >= 0 else None)
+    return ThrowResult(throw, ending, int(face) + 1 if face >= 0 else None, bool((log[:, 23] < 0.0).any()))
 
 
 def _throw_asymmetric(

@@ -11,7 +11,7 @@ from ...compiled import inner
 from ..attitude import body_angular_velocity, to_table_axes, vertical_in_body
 from ..flight import table_height, table_velocity
 from ..rest import MARGIN_OF_PROOF, lowest_face_row
-from ..types import ROUNDING_BOUND, STANDING_HEIGHT, Array, AsymmetricBody, Contact, Indices, Plane
+from ..types import APPROACHING, ROUNDING_BOUND, STANDING_HEIGHT, Array, AsymmetricBody, Contact, Indices, Plane
 from .motion import clearance, free_acceleration, response, rotational_energy, unit_torque, vertex_velocity
 
 REST_PART = 0.1
@@ -146,6 +146,38 @@ def solve_complementarity(
                 pushes[b] += q
                 return True
     return False
+
+
+@inner
+def simultaneous_impact(
+    contact: Contact, y: Array, time: float, velocity: float, chi: float, chosen: Indices, room: Array
+) -> float:
+    """The smooth impact, in place, of the vertex that `contact` holds and of all that touch at the same instant.
+
+    `velocity` [m/s] is that of the vertex. Returns the bits of the vertices, 0 where it is the only one."""
+    body, plane, hit, _ = contact
+    w, pushes = room[0], room[1]
+    n, struck = 0, 0.0
+    for k in range(body.vertices.shape[0]):
+        u = vertex_velocity(body, plane, y, time, k)
+        is_low = clearance(body, plane, y, time, k) <= STANDING_HEIGHT * body.radius
+        if k == hit or (is_low and u <= APPROACHING * velocity):
+            chosen[n], w[n] = k, u
+            struck += 2.0**k
+            n += 1
+    if n == 1:
+        apply_vertical_impulse(body, y, hit, -(1.0 + chi) * velocity / response(body, y, hit, hit))
+        return 0.0
+    if solve_complementarity(body, y, chosen, n, w, APPROACHING * abs(velocity), pushes):
+        for k in range(n):
+            apply_vertical_impulse(body, y, chosen[k], (1.0 + chi) * pushes[k])
+    else:
+        a, b, c = y[9], y[10], y[11]
+        _stop_all_but_vertical_spin(body, plane, y, time)
+        y[9] += chi * (y[9] - a)
+        y[10] += chi * (y[10] - b)
+        y[11] += chi * (y[11] - c)
+    return struck
 
 
 @inner

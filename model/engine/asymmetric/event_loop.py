@@ -38,12 +38,12 @@ from ..types import (
     Setup,
 )
 from .contact import (
-    apply_vertical_impulse,
     decided_face,
     face_contact_duration,
     lay_on_face,
     project_on_contact,
     resolve_contacts,
+    simultaneous_impact,
     spin_growth_bound,
     spins_forever,
 )
@@ -278,6 +278,7 @@ def run_asymmetric_throw(
         if not begins:
             continue
         to_angular_velocity(body, y, before)
+        struck = 0.0
         if reorder:
             hit = -1
             i, j = resolve_contacts(body, plane, y, time, slow, chosen, room)
@@ -294,13 +295,13 @@ def run_asymmetric_throw(
                 time += nudge
         else:
             approach = vertex_velocity(body, plane, y, time, hit)
-            apply_vertical_impulse(body, y, hit, -(1.0 + chi) * approach / response(body, y, hit, hit))
+            struck = simultaneous_impact(Contact(body, plane, hit, NONE), y, time, approach, chi, chosen, room)
             i, j = -1, -1
             impacts += 1
         if keep:
             log = with_room(log, events)
             to_angular_velocity(body, y, shown)
-            write_event(log[events], time, hit, before, shown, i, j)
+            write_event(log[events], time, hit, before, shown, i, j, struck)
         events += 1
 
 

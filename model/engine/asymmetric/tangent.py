@@ -301,7 +301,7 @@ def run_asymmetric_tangent(
         shifts_at_impact(sources, plane, time, hit, y, shifts)
         _impact_with_tangent(setup, y, time, hit, derivatives, tangent, dtimes[impacts])
         to_angular_velocity(body, y, shown)
-        write_event(log[impacts], time, hit, before, shown, -1, -1)
+        write_event(log[impacts], time, hit, before, shown, -1, -1, 0.0)
         impacts += 1
 
 

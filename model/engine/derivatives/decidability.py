@@ -265,7 +265,7 @@ def add_grazing_touch(
     spin, terms = spin_rate(state), np.empty((body.vertices.shape[0], 4))
     height_terms(body.vertices, state, spin, terms)
     falling = FallingDie(state[2], state[9], spin, body.radius)
-    low, k, _, _ = first_touch(terms, falling, plane, time, band, dt)
+    low, k, _, _, _ = first_touch(terms, falling, plane, time, band, dt)
     there = state.copy()
     advance(there, spin, dt, plane)
     if k < 0 or k == hit or vertex_velocity(body, plane, there, time + dt, k) < 0.0:

@@ -166,7 +166,8 @@ def touch_in_vacuum(
     """`touch_ahead` without drag."""
     falling = FallingDie(start.state[2], start.state[9], start.spin, radius)
     if limit < inf:
-        return first_touch(terms, falling, plane, clock, 0.0, limit)
+        dt, hit, velocity, acceleration, _ = first_touch(terms, falling, plane, clock, 0.0, limit)
+        return dt, hit, velocity, acceleration
     dt, found, velocity, acceleration = touch_of_vertex(terms, falling, plane, clock)
     return dt, 0 if found else -1, velocity, acceleration
 
@@ -311,7 +312,7 @@ def run_tangent(
         kinematics = _flight_kinematics(plane, time, air.drag, before, state)
         shifts_at_impact(sources, plane, time, hit, before, shifts)
         impact_tangent(setup, hit, before, kinematics, derivatives, tangent, columns, dtimes[impacts])
-        write_event(log[impacts], time, hit, before, state, -1.0, NONE)
+        write_event(log[impacts], time, hit, before, state, -1.0, NONE, 0.0)
         impacts += 1
 
 

@@ -73,6 +73,11 @@ def rows_of(plan: Plan, result: ThrowResult) -> Track:
 def throw_table(plan: Plan, result: ThrowResult) -> dict[str, Any]:
     """The contents of throw.json. Whether rounding decided the throw is null for one that stopped at a limit."""
     messages = [result.ending.value]
+    if result.depends_on_numbering:
+        messages.append(
+            "Several corners touched at one instant and were struck one after the other: the result depends on the numbers of "
+            "the corners."
+        )
     if result.landed_face is None and result.ending is not Ending.RESTED:
         messages.append("Landing face unknown: the die is not at rest on a face when the throw ends.")
     ended = result.landed_face is not None or result.ending not in _STOPPED
