@@ -14,6 +14,7 @@ from __future__ import annotations
 from math import inf, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..compiled import compiled, inner
 from .flight import (

@@ -27,18 +27,18 @@ vertex no higher than its limit counts as standing at h = 0, also if an impact l
   the third derivative. With h'' = 0 and a third derivative j > 0, as when held contact has just released it, it
   advances by 4 j/(ω⁴ √(A² + B²)). Otherwise it touches, with velocity 0.
 
-**Several vertices at one instant.** A die that falls flat, or on an edge along its length, touches with several vertices at
-instants that rounding does not distinguish: all within 1e-10 R of the table. Impacts in any order would turn the die one way or the other, by the numbers of its
-vertices. Without friction they strike at once (Moreau, in Nonsmooth Mechanics and Applications, CISM 302, 1988): with their
-normal velocities u before and u' after, and impulses S,
+**Several vertices at one instant.** A die that falls flat, or on an edge along its length, touches with several vertices
+at instants that rounding does not distinguish: all within 1e-10 R of the table. Impacts in any order would turn the die
+one way or the other, by the numbers of its vertices. Without friction they strike at once (Moreau, in Nonsmooth
+Mechanics and Applications, CISM 302, 1988): with their normal velocities u before and u' after, and impulses S,
 
     S ≥ 0,   u' + χ u ≥ 0,   S (u' + χ u) = 0   at each of them.
 
-With S = (1 + χ) P this is the impact with χ = 0 of all of them, 0 ≤ P ⊥ u + A P ≥ 0, whose velocities are unique: the change of
-the motion is 1 + χ times that. It never adds energy, keeps it at χ = 1, and depends on no numbering. Where χ fades with the speed,
-that of the fastest vertex counts. Vertices that rest on the table, or leave it, take no part; what the impact drives into the table
-strikes next. With friction there is no such law, and the fastest vertex is struck first, of equals the one with the lowest number;
-`ThrowResult.depends_on_numbering` says so.
+With S = (1 + χ) P this is the impact with χ = 0 of all of them, 0 ≤ P ⊥ u + A P ≥ 0, whose velocities are unique: the
+change of the motion is 1 + χ times that. It never adds energy, keeps it at χ = 1, and depends on no numbering. Where χ
+fades with the speed, that of the fastest vertex counts. Vertices that rest on the table, or leave it, take no part; what
+the impact drives into the table strikes next. With friction there is no such law, and the fastest vertex is struck
+first, of equals the one with the lowest number; `ThrowResult.depends_on_numbering` says so.
 """
 
 from __future__ import annotations

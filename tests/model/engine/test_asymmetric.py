@@ -22,7 +22,13 @@ from diethrow.model.engine.types import (
     SmoothLaw,
 )
 from diethrow.model.laws import SmoothImpact
-from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, quat_multiply, rotation_between
+from diethrow.model.rotations import (
+    matrix_from_quat,
+    quat_from_matrix,
+    quat_from_rotvec,
+    quat_multiply,
+    rotation_between,
+)
 from diethrow.model.throw.asymmetric_throw import throw_asymmetric_die
 from diethrow.model.throw.body import centre_of_mass_state, centroid_state
 from diethrow.model.throw.motion import State, energy_J
