@@ -28,12 +28,16 @@ from ..throw import (
     ENDINGS,
     EXACT,
     IMPACT_CAP,
+    BodyKind,
+    Door,
     Ending,
     Precision,
     asymmetric_body_of,
+    body_kind,
     body_of,
     is_endless,
     kernel_states,
+    refuse_unsupported,
 )
 from .landing_kernels import BELOW_TABLE, land_releases
 from .releases import Array
@@ -98,20 +102,16 @@ class ThrowSetup:
         """Throw from each of `states` (n, 13), in world axes, at time 0, until the face is decided.
 
         `after` is the number of impacts at which the lowest face is recorded. A throw that may never end is stopped after
-        BOUNCING_CAP impacts. Raises ValueError for friction on a die with an anisotropic tensor.
+        BOUNCING_CAP impacts. Raises ValueError for what `throw.supported` does not combine.
         """
         landed, lowest = np.zeros((len(states), 3), np.int64), np.zeros((len(states), after + 1), np.int64)
         starts = kernel_states(self.die, self.table, states)
-        # For a loaded die and the smooth impact the asymmetric kernels prove more: that it spins for ever.
-        is_smooth = self.law.code == engine.SMOOTH
-        if self.die.is_spherical_top or (not is_smooth and self.die.isotropic_inertia_kg_m2 is not None):
+        kind = body_kind(self.die)
+        refuse_unsupported(Door.THROW, kind, self.packed_law)
+        # As `throw_die` does.
+        if kind is BodyKind.CENTRED or (kind is BodyKind.LOADED and self.packed_law.code != engine.SMOOTH):
             packed = self.packed
         else:
-            if not is_smooth:
-                raise ValueError(
-                    f"{type(self.law).__name__} on a {self.die.solid.name} that is no spherical top: wanted SmoothImpact, "
-                    "or a die with one moment of inertia"
-                )
             body, body_from_principal = asymmetric_body_of(self.die)
             starts[:, 3:7] = quat_multiply(starts[:, 3:7], body_from_principal)
             packed = engine.Setup(body, self.packed_law, self.table.plane, self.precision.packed)

@@ -32,5 +32,10 @@ from .simulate import ThrowResult as ThrowResult
 from .simulate import Until as Until
 from .simulate import is_endless as is_endless
 from .simulate import throw_die as throw_die
+from .supported import BodyKind as BodyKind
+from .supported import Door as Door
+from .supported import body_kind as body_kind
+from .supported import refuse_unsupported as refuse_unsupported
+from .supported import support_table as support_table
 from .tangent import Propagation as Propagation
 from .tangent import propagate as propagate

@@ -71,18 +71,8 @@ def run_asymmetric_tangent(
 ) -> tuple[int, Array, Array, Array, Array]:
     """As `engine.derivatives.run_tangent`, with input and output of the centroid and ω. The log is that of `AsymmetricThrow`.
 
-    Raises ValueError for a law with friction, and for drag.
+    For smooth impacts without drag (`supported`).
     """
-    if run.law.code != engine.SMOOTH:
-        raise ValueError(
-            f"impact law {run.law.code} on a {die.solid.name} that is no spherical top: wanted the smooth impact; "
-            "use SmoothImpact, or a die with one moment of inertia and no parameter of its centre of mass"
-        )
-    if isinstance(run.air, engine.Air):
-        raise ValueError(
-            f"drag_per_m on a {die.solid.name} that is no spherical top: wanted no drag; leave it out, or use a die with "
-            "one moment of inertia and no parameter of its centre of mass"
-        )
     body, body_from_principal = _body(die)
     by_parameter = run.parameter_derivatives
     start = packed_state(centre_of_mass_state(die, unpacked_state(run.start, run.start_time_s)))

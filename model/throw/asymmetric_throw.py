@@ -97,10 +97,7 @@ def throw_asymmetric_die(
     below the table.
     """
     if law.code != SMOOTH:
-        raise ValueError(
-            f"impact law {law.code} on a {die.solid.name} that is no spherical top: wanted the smooth impact; "
-            "use SmoothImpact, or a die with one moment of inertia"
-        )
+        raise ValueError(f"law {law.code} by the kernels of asymmetric dice: wanted the smooth impact, {SMOOTH}")
     plane = Plane(*(float(value) for value in plane))  # kernels are compiled for floats
     body, body_from_principal = asymmetric_body_of(die)
     start = packed_state(centre_of_mass_state(die, release))

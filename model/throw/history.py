@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .. import engine
 from ..die import Die
@@ -66,24 +66,58 @@ class AsymmetricMotion(SampledFlight):
         return rotated_state(state, self.table.world_from_table) if self.table.tilt_rad else state
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LoadedMotion(SampledFlight):
+    """Motion of the centroid of a die with one moment of inertia whose centre of mass lies beside it."""
+
+    of_mass: Flight
+    """The motion of the centre of mass."""
+    centre_of_mass_m: Array
+    """(3,) from the centroid, body axes."""
+
+    @staticmethod
+    def beside(of_mass: Flight, die: Die) -> LoadedMotion:
+        """That of the centroid, from that of the centre of mass."""
+        return LoadedMotion(
+            start=centroid_state(die, of_mass.start), end_s=of_mass.end_s, gravity_m_s2=of_mass.gravity_m_s2,
+            of_mass=of_mass, centre_of_mass_m=die.centre_of_mass_offset_m,
+        )  # fmt: skip
+
+    def at(self, time_s: float) -> State:
+        """The state at any instant."""
+        state = self.of_mass.at(time_s)
+        arm = state.rotation @ self.centre_of_mass_m
+        velocity = state.velocity_m_s - np.cross(state.omega_rad_s, arm)
+        return replace(state, position_m=state.position_m - arm, velocity_m_s=velocity)
+
+    def poses(self, times_s: ArrayLike) -> tuple[Array, Array]:
+        """Positions (n, 3) [m] and quaternions (n, 4) wxyz at times (n,) [s]."""
+        positions, quaternions = self.of_mass.poses(times_s)
+        return positions - matrix_from_quat(quaternions) @ self.centre_of_mass_m, quaternions
+
+
 def throw_from_log(
     die: Die, start: Array, begin_s: float, log: Array, end_s: float, knots: Array = _NO_KNOTS, table: Table = LEVEL
 ) -> Throw:
-    """The Throw of a spherical top from its packed start (13,) and its logged events (k, LOG_COLUMNS).
+    """The Throw of a die with one moment of inertia from its packed start (13,) and its logged events (k, LOG_COLUMNS).
 
-    The last flight ends at `end_s`. `knots` (m, 15) are those of `engine.run_throw`. Times are on the clock of the release.
+    Start and log are those of the centre of mass. The last flight ends at `end_s`. `knots` (m, 15) are those of
+    `engine.run_throw`. Times are on the clock of the release.
     """
     quaternion = table.world_from_table
-    setup = _Setup(die, body_of(die), table, touching_vertices(die), quaternion, matrix_from_quat(quaternion))
+    body = body_of(die)
+    setup = _Setup(die, body, table, body.vertices, quaternion, matrix_from_quat(quaternion))
     starts = np.vstack([start, *(state_after(row) for row in log)])
     times = [begin_s, *(float(t) for t in log[:, 0]), float(end_s)]
     contacts = [FREE, *(_contact(row) for row in log)]
     split = np.searchsorted(knots[:, 0], np.arange(-1, len(log) + 1))
-    flights = tuple(
+    flights: tuple[Flight, ...] = tuple(
         _flight(setup, starts[k], times[k], times[k + 1], contacts[k], knots[split[k] : split[k + 1], 1:])
         for k in range(len(starts))
     )
     faces = [_lowest_face_halfway(die, flight) for flight in flights] if len(log) else []
+    if die.centre_of_mass_m is not None:
+        flights = tuple(LoadedMotion.beside(flight, die) for flight in flights)
     return Throw(flights, tuple(_impact(setup, row, faces[k], faces[k + 1]) for k, row in enumerate(log)))
 
 
@@ -232,10 +266,10 @@ def _normal_velocity(arm: Array, state: Array) -> float:
 
 
 def _energy_J(setup: _Setup, packed: Array) -> float:
-    """Energy [J] of a packed state (13,), zero for a die at rest with its centre at the world's z = 0."""
+    """Energy [J] of a packed state (13,), zero for a die at rest with its centre of mass at the world's z = 0."""
     v, w, die = packed[7:10], packed[10:13], setup.die
     height = float(setup.matrix[2] @ (packed[0:3] + np.array([0.0, 0.0, die.corner_radius_m])))
-    kinetic = 0.5 * die.mass_kg * float(v @ v) + 0.5 * die.inertia_kg_m2 * float(w @ w)
+    kinetic = 0.5 * die.mass_kg * float(v @ v) + 0.5 * setup.body.inertia * float(w @ w)
     return kinetic + die.mass_kg * setup.table.gravity_m_s2 * height
 
 

@@ -42,9 +42,10 @@ from ..die import Die
 from ..laws import LEVEL, ImpactLaw, Table
 from ..rotations import quat_conjugate
 from .asymmetric_throw import throw_asymmetric_die
-from .body import body_of, checked_release, packed_state
+from .body import body_of, checked_release, kernel_states, packed_state
 from .history import throw_from_asymmetric, throw_from_log
 from .motion import State, Throw, rotated_state
+from .supported import BodyKind, Door, body_kind, refuse_unsupported
 
 IMPACT_CAP = 10_000_000
 """Impacts after which any throw is stopped: more than any throw below χ = 1 on a table at rest has needed."""
@@ -168,18 +169,24 @@ def throw_die(
 
     With a limit the throw continues after its face is decided, and `landed_face` still names it. Rounded corners touch the
     table with the spheres about the corners of the inner polyhedron. Raises ValueError for a release that is not finite,
-    whose quaternion is not of length 1, that lies below the table, or that is later than the end time.
+    whose quaternion is not of length 1, that lies below the table, or that is later than the end time, and for what
+    `supported` does not combine.
     """
     duration = np.inf if until.time_s is None else float(until.time_s - release.time_s)
     if duration < 0.0:
         raise ValueError(f"until time_s = {until.time_s}: wanted a time after the release at {release.time_s} s")
     endless = until == Until() and is_endless(law, table)
     cap = BOUNCING_CAP if endless else IMPACT_CAP
-    if not die.is_spherical_top:
+    kind, packed_law = body_kind(die), engine.law_of(law.code, law.parameters)
+    refuse_unsupported(Door.THROW, kind, packed_law)
+    # For smooth impacts of a loaded die the kernels of asymmetric dice prove more: that it spins for ever.
+    if kind is BodyKind.ASYMMETRIC or (kind is BodyKind.LOADED and packed_law.code == engine.SMOOTH):
         packed_state(release)  # raises for an invalid state while it is still in the axes of the caller
         return _throw_asymmetric(die, release, law, until, duration, table, precision, cap)
     start = checked_release(die, release, table)
-    setup = engine.Setup(body_of(die), engine.law_of(law.code, law.parameters), table.plane, precision.packed)
+    if kind is BodyKind.LOADED:
+        start = kernel_states(die, table, packed_state(release)[None])[0]
+    setup = engine.Setup(body_of(die), packed_law, table.plane, precision.packed)
     impacts = engine.NO_LIMIT if until.impacts is None else until.impacts
     code, _, face, end, _, log, knots = engine.run_throw(
         setup, start, float(release.time_s), engine.Limits(duration, impacts, cap, until == Until()), True

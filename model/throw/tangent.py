@@ -76,6 +76,7 @@ from .body import body_of, centroid_state, checked_release, packed_start, packed
 from .history import state_after, throw_from_log
 from .motion import Flight, State, Throw, rotated_state
 from .simulate import Ending
+from .supported import BodyKind, Door, body_kind, refuse_unsupported
 
 Array = NDArray[np.float64]
 
@@ -187,18 +188,19 @@ def propagate(
     a start below the table, and for times after the bounces follow each other without end.
     """
     law = SmoothImpact(law) if isinstance(law, float | int) else law
-    if law.code == engine.COULOMB_FADING:
-        raise ValueError(
-            f"{type(law).__name__} has no derivatives; wanted a law whose friction does not depend on speed"
-        )
     _check_names(parameters)
+    kind = body_kind(die)
+    if kind is BodyKind.CENTRED and any(name in CENTRE_OF_MASS_AXES for name in parameters):
+        kind = BodyKind.LOADED
+    differentiated = _differentiated_law(law, parameters)
+    refuse_unsupported(Door.DERIVATIVES, kind, differentiated, bool(drag_per_m) or "drag_per_m" in parameters)
     packed = packed_start(die, start, table) if vertices is not None else checked_release(die, start, table)
     times = np.atleast_1d(np.asarray(times_s, float))
     if times.ndim != 1 or not np.isfinite(times).all():
         raise ValueError(f"times_s of shape {times.shape}: wanted finite times (n,) in seconds")
     order = np.argsort(times, kind="stable")
     run = TangentRun(
-        _differentiated_law(law, parameters),
+        differentiated,
         table.plane,
         _air(drag_per_m, parameters),
         packed,
@@ -208,7 +210,7 @@ def propagate(
         _start_jacobian(die, packed, table, parameters),
         _parameter_derivatives(die, law, table, parameters),
     )
-    is_asymmetric = not die.is_spherical_top or any(name in CENTRE_OF_MASS_AXES for name in parameters)
+    is_asymmetric = kind is not BodyKind.CENTRED
     code, poses, jacobian, log, impact_jacobian = (
         run_asymmetric_tangent(die, parameters, run)
         if is_asymmetric

@@ -425,7 +425,7 @@ def test_a_spin_that_no_proof_covers_is_given_up_after_a_time_and_not_called_end
 
 def test_an_unsupported_throw_raises_an_error():
     release = random_release(np.random.default_rng(14), LOADED)
-    with pytest.raises(ValueError, match="impact law 7"):
+    with pytest.raises(ValueError, match="law 7 by the kernels of asymmetric dice"):
         throw_asymmetric_die(LOADED, release, SmoothLaw(7, np.array([0.5])))
     below = State(0.0, np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
     with pytest.raises(ValueError, match="below the table"):

@@ -292,7 +292,7 @@ def test_unknown_parameters_and_negative_drag_raise_and_name_the_value():
         run(model, start, times, vertices, ("chi", "chi"))
     with pytest.raises(ValueError, match=r"drag_per_m = -1\.0"):
         run((*model[:3], -1.0), start, times, vertices)
-    with pytest.raises(ValueError, match="impact law 1 on a cube"):
+    with pytest.raises(ValueError, match="friction on a die with several moments of inertia"):
         run((TOPS["loaded"], LAWS["stronge"], LEVEL, 0.0), start, times, vertices)
-    with pytest.raises(ValueError, match="drag_per_m on a cube"):
+    with pytest.raises(ValueError, match="air drag on a die with several moments of inertia"):
         run((TOPS["loaded"], LAWS["smooth"], LEVEL, 0.1), start, times, vertices)
