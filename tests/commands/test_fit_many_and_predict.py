@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from throws import random_release, seen
 from diethrow.files.throw_records import read_simulated, write_track
 from diethrow.fitting.throw.physics import Physics
 from diethrow.model.die.die import make_die
-from diethrow.model.laws import LEVEL
+from diethrow.model.laws import LEVEL, Table
 from diethrow.model.throw.simulate import Until
 
 CUBE = make_die("cube", 0.016, 0.0048)
@@ -102,6 +103,41 @@ def test_a_file_that_is_no_fit_is_refused(
     assert status == 1
     assert expected in " ".join(notes.split())
     assert not (tmp_path / "p.csv").exists()
+
+
+def test_a_prediction_honours_the_motion_of_the_table_and_the_gravity_that_the_scene_states(tmp_path: Path) -> None:
+    """A throw of the same law on the same table, with hardly any noise: what is predicted from its flight is what happened."""
+    table = Table(amplitude_m=0.002, frequency_hz=20.0, phase_rad=0.4, gravity_m_s2=9.7)
+    physics = Physics(CUBE, table, {"chi": 0.6})
+    release = random_release(CUBE, np.random.default_rng(7))
+    throw = physics.throw(release, Until(impacts=3)).throw
+    track = replace(seen(throw, np.random.default_rng(3), noise=1e-6), gravity_m_s2=9.7)
+    write_track(tmp_path / "throw.csv", track)
+    chi = {"value": 0.6, "low": 0.6, "high": 0.6, "free": True, "at_bound": False, "level": 0.95}
+    (tmp_path / "fit.json").write_text(json.dumps({"parameters": {"chi": chi}}))
+    motion = "[table.motion]\namplitude_m = 0.002\nfrequency_hz = 20.0\nphase_rad = 0.4\n"
+    world = "[world]\ngravity_m_s2 = 9.7\n"
+    off = {}
+    for name, more in (("stated", motion + world), ("at_rest", world)):
+        (tmp_path / f"{name}.toml").write_text(f"[clip]\nfps = 1500.0\n{CUBE_ON_WOOD}{more}")
+        wanted = ("--scene", tmp_path / f"{name}.toml", "--fit", tmp_path / "fit.json", "--out", tmp_path / f"{name}.csv")
+        status, _, notes = invoke("predict", tmp_path / "throw.csv", *wanted, "--draws", 0)
+        assert status == 0, notes
+        off[name] = json.loads((tmp_path / f"{name}.json").read_text())["position_error_m"]
+    # The state before the first bounce is known to 1e-9 m, and three bounces let errors grow.
+    assert off["stated"] < 1e-6
+    assert off["at_rest"] > 1e-4
+
+
+def test_a_track_whose_frames_repeat_or_go_back_is_refused(throws: Path, fitted: Path, tmp_path: Path) -> None:
+    header, *rows = (throws / "throw_0.csv").read_text().splitlines(keepends=True)
+    for number, text in ((3, "frame = 3 in row 5, after 3"), (1, "frame = 1 in row 5, after 3")):
+        again = f"{number}{rows[4][rows[4].index(',') :]}"
+        (tmp_path / "track.csv").write_text("".join([header, *rows[:4], again, *rows[5:]]))
+        wanted = ("--scene", throws / "scene.toml", "--fit", fitted, "--out", tmp_path / "p.csv")
+        status, _, notes = invoke("predict", tmp_path / "track.csv", *wanted)
+        assert status == 1
+        assert text in " ".join(notes.split())
 
 
 def test_a_frame_that_the_track_does_not_allow_is_refused(throws: Path, fitted: Path, tmp_path: Path) -> None:

@@ -114,6 +114,11 @@ def read_track(path: Path, gravity_m_s2: float = GRAVITY_M_S2) -> Track:
     if (np.diff(time_s) <= 0).any():
         k = int(np.argmax(np.diff(time_s) <= 0)) + 1
         raise ValueError(f"{path}: t_s = {time_s[k]} in row {k + 1} does not rise; wanted times in order")
+    if (np.diff(frame) <= 0).any():
+        k = int(np.argmax(np.diff(frame) <= 0)) + 1
+        raise ValueError(
+            f"{path}: frame = {frame[k]} in row {k + 1}, after {frame[k - 1]}; wanted frame numbers in order, each of them once"
+        )
     position, quaternion = table.numbers(POSITION_COLUMNS, known), table.numbers(QUATERNION_COLUMNS, known)
     lengths = np.linalg.norm(quaternion[known], axis=1)
     if (abs(lengths - 1.0) > MAX_LENGTH_ERROR).any():

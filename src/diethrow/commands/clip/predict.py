@@ -17,6 +17,7 @@ import numpy as np
 from ...analysis import Progress, RunError, silent
 from ...files.csv_and_json import write_json
 from ...files.fit_records import read_parameters, state_table
+from ...files.measured_throw import read_measured_throw, throw_path
 from ...files.outputs import whole_file, whole_folder
 from ...files.scene import Scene
 from ...files.throw_records import covariance_path, read_track, write_simulated
@@ -24,7 +25,7 @@ from ...fitting.predict import Decision, FaceOdds, ReleaseState, decide, first_b
 from ...fitting.results import Parameter
 from ...fitting.throw import Physics
 from ...model.die import Die
-from ...model.laws import Table
+from ...model.laws import Restitution, Table
 from ...model.rotations import angle_between, continuous_sign
 from ...tracking.track import Track
 
@@ -65,7 +66,8 @@ def predict_tracks(
     a sentence for each effect of the fit and each track that is left out. Raises RunError if no track can be predicted,
     ValueError for a file that is no fit or a frame that is no number.
     """
-    physics, parameters = physics_of(fit_path, scene)
+    law = read_law(fit_path)
+    physics_of(law, scene.die, scene.table.in_model)  # refuses what concerns every track
     if from_frame != FIRST_BOUNCE and not from_frame.isdecimal():
         raise ValueError(f"--from-frame {from_frame}: wanted a frame number, or {FIRST_BOUNCE}")
     names = [path.stem for path in track_paths]
@@ -73,8 +75,8 @@ def predict_tracks(
         raise ValueError(
             f"two tracks are called {max(names, key=names.count)}: wanted names that differ, one file each"
         )
-    inputs = (scene.path, fit_path, *track_paths, *(p for p in map(covariance_path, track_paths) if p.exists()))
-    predicted = partial(_predicted, track_paths, physics, parameters, from_frame, draws, progress)
+    inputs = (scene.path, fit_path, *track_paths, *_beside(track_paths))
+    predicted = partial(_predicted, track_paths, scene, law, from_frame, draws, progress)
     if len(track_paths) == 1:
         beside = out.with_suffix(".json")
         with (
@@ -88,12 +90,17 @@ def predict_tracks(
             made, left_out = predicted()
             for one in made:
                 _write(one, folder / f"{one.track.stem}.csv", folder / f"{one.track.stem}.json")
-    return tuple(made), (*_notices(physics), *left_out)
+    return tuple(made), (*_notices(law), *left_out)
 
 
-def _notices(physics: Physics) -> tuple[str, ...]:
+def _beside(track_paths: Sequence[Path]) -> list[Path]:
+    """The files that belong to the tracks and are read with them."""
+    return [path for track in track_paths for path in (covariance_path(track), throw_path(track)) if path.exists()]
+
+
+def _notices(law: Law) -> tuple[str, ...]:
     """Effects of the fit that predictions leave out."""
-    drag = physics.values.get("drag_per_m", 0.0)
+    drag = law.parameters["drag_per_m"].value if "drag_per_m" in law.parameters else None
     if not drag:
         return ()
     return (f"The air drag of the fit, {drag:.3g} per metre, is left out: throws are simulated in a vacuum.",)
@@ -101,8 +108,8 @@ def _notices(physics: Physics) -> tuple[str, ...]:
 
 def _predicted(
     paths: Sequence[Path],
-    physics: Physics,
-    parameters: dict[str, Parameter],
+    scene: Scene,
+    law: Law,
     from_frame: str,
     draws: int,
     progress: Progress,
@@ -112,7 +119,7 @@ def _predicted(
     for k, path in enumerate(paths):
         progress("Predicting the throws", k, len(paths))
         try:
-            made.append(predict(path, physics, parameters, from_frame, draws))
+            made.append(predict(path, scene, law, from_frame, draws))
         except ValueError as error:
             left_out.append(f"{path} is left out: {str(error).removeprefix(f'{path}: ')}.")
     if not made:
@@ -120,11 +127,14 @@ def _predicted(
     return made, left_out
 
 
-def predict(path: Path, physics: Physics, parameters: dict[str, Parameter], from_frame: str, draws: int) -> Prediction:
-    """The prediction of one throw. Raises ValueError, with the reason, for a track that cannot be predicted from
-    there.
-    """
-    track = read_track(path, physics.table.gravity_m_s2)
+def predict(path: Path, scene: Scene, law: Law, from_frame: str, draws: int) -> Prediction:
+    """The prediction of one throw, of the die as it was tracked where that is known beside the track.
+
+    Raises ValueError, with the reason, for a track that cannot be predicted from there."""
+    table = scene.table.in_model
+    track = read_track(path, table.gravity_m_s2)
+    tracked = read_measured_throw(path, track, scene.die, scene.rounding)
+    physics = physics_of(law, scene.given_die() if tracked is None else tracked.die, table)
     row = first_bounce_row(track, physics.die) if from_frame == FIRST_BOUNCE else _row_of(track, int(from_frame))
     release = release_before(track, physics.body, row)
     simulated = predict_track(physics, track, release)
@@ -132,7 +142,7 @@ def predict(path: Path, physics: Physics, parameters: dict[str, Parameter], from
     compared[:row] = False
     off = track.position_m[compared] - simulated.position_m[compared]
     turned_rad = angle_between(simulated.quaternion[compared], track.quaternion[compared])
-    decision = decide(physics, parameters, track, row, draws=draws) if draws else None
+    decision = decide(physics, law.parameters, track, row, draws=draws) if draws else None
     return Prediction(
         path,
         row,
@@ -144,25 +154,38 @@ def predict(path: Path, physics: Physics, parameters: dict[str, Parameter], from
     )
 
 
-def physics_of(fit_path: Path, scene: Scene) -> tuple[Physics, dict[str, Parameter]]:
-    """Die, table and law of a fit. Raises ValueError for a parameter that throws do not have."""
+@dataclass(frozen=True)
+class Law:
+    """What a fit says about throws."""
+
+    path: Path
+    """The file of the fit."""
+    parameters: dict[str, Parameter]
+    restitution: Restitution
+
+
+def read_law(fit_path: Path) -> Law:
+    """The law of a fit. Raises ValueError for a file that is no fit, or lacks χ."""
     parameters, restitution = read_parameters(fit_path)
-    physics = Physics(
-        scene.given_die(), Table(gravity_m_s2=scene.table.gravity_m_s2), {"chi": 0.0}, restitution=restitution
-    )
+    if "chi" not in parameters:
+        raise ValueError(f"{fit_path}: parameters.chi is missing; wanted the fit.json that a fit writes")
+    return Law(fit_path, parameters, restitution)
+
+
+def physics_of(law: Law, die: Die, table: Table) -> Physics:
+    """The throws of a die over a table by the law of a fit. Raises ValueError for a parameter that throws do not have."""
+    physics = Physics(die, table, {"chi": 0.0}, restitution=law.restitution)
     values = {}
-    for name, parameter in parameters.items():
+    for name, parameter in law.parameters.items():
         try:
             low, high = physics.bounds(name)
         except KeyError:
-            raise ValueError(f"{fit_path}: parameters.{name} is not a parameter of a throw") from None
+            raise ValueError(f"{law.path}: parameters.{name} is not a parameter of a throw") from None
         assert parameter.value is not None
         if not low <= parameter.value <= high:
-            raise ValueError(f"{fit_path}: parameters.{name}.value = {parameter.value}; wanted {low:g} to {high:g}")
+            raise ValueError(f"{law.path}: parameters.{name}.value = {parameter.value}; wanted {low:g} to {high:g}")
         values[name] = float(parameter.value)
-    if "chi" not in values:
-        raise ValueError(f"{fit_path}: parameters.chi is missing; wanted the fit.json that a fit writes")
-    return physics.with_values(**values), parameters
+    return physics.with_values(**values)
 
 
 def _row_of(track: Track, frame: int) -> int:
