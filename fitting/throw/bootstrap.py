@@ -41,12 +41,24 @@ def bootstrap_intervals(
     return {name: (float(low[k]), float(high[k])) for k, name in enumerate(trajectory.physics.free)}
 
 
+def block_rows(flight: NDArray[np.int64], length: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Rows (n,) that frames (n,) of flights in order of time take their errors from: blocks of `length` frames, none of which
+    spans two flights, neither of those that it is drawn from nor of those that it is laid on. A flight with fewer frames takes
+    one block of as many."""
+    n, out = len(flight), np.empty(len(flight), np.int64)
+    begins = np.flatnonzero(np.diff(flight, prepend=flight[0] - 1))
+    for begin, end in zip(begins, [*begins[1:], n], strict=True):
+        size = min(length, int(end - begin))
+        whole = np.flatnonzero(flight[: n - size + 1] == flight[size - 1 :])
+        firsts = rng.choice(whole, size=-(-int(end - begin) // size))
+        out[begin:end] = (firsts[:, None] + np.arange(size)).ravel()[: end - begin]
+    return out
+
+
 def _redrawn(trajectory: Trajectory, residuals: Array, length: int, rng: np.random.Generator) -> FlightObservations:
     """The frames of a trajectory with errors drawn from its residuals, in blocks of `length` frames, and with shared errors drawn
     from what is known of them."""
-    n = len(residuals)
-    first = rng.integers(0, n, size=n // length + 1)
-    rows = ((first[:, None] + np.arange(length)) % n).ravel()[:n]
+    rows = block_rows(trajectory.observations.flight, length, rng)
     errors = np.linalg.solve(trajectory.observations.whitener, residuals[rows][:, :, None])[:, :, 0]
     shared = trajectory.observations.shared
     if shared is not None:
