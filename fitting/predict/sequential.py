@@ -1,30 +1,30 @@
 """Sequential estimates of a throw: χ and the face odds from the frames up to each bounce.
 
-The effects are those of the whole fit, and its values start the search. A parameter on which the frames so far have no
-information keeps an interval as wide as its law allows. Each estimate extends the trajectory before it by one flight.
+The effects are those of the whole fit, and its values start the search. Intervals are made as those of the whole fit; where
+the frames so far leave all of its range open, χ has no value. Each estimate extends the trajectory before it by one flight.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from ...model.die import Die
 from ...model.laws import Table
 from ...model.throw import Throw
 from ...tracking.track import Track
-from ..estimation import flight_observations, normal_quantile
-from ..free import fit_flights
+from ..estimation import flight_observations
+from ..free import FreeFlights, fit_flights
 from ..results import Fit, Parameter
 from ..throw import (
-    INTERVAL_LEVEL,
+    IntervalMethod,
     Physics,
     Trajectory,
     extend_through_bounces,
     first_flight_trajectory,
     landing_odds,
+    parameters_of,
     table_under,
+    weighted_as_inflated,
 )
 
 
@@ -42,11 +42,16 @@ class Estimate:
 
 
 def sequential_estimates(
-    track: Track, measured: Throw, die: Die, fit: Fit, table: Table | None = None
+    track: Track,
+    measured: Throw,
+    die: Die,
+    fit: Fit,
+    table: Table | None = None,
+    intervals: IntervalMethod = "profile",
 ) -> tuple[Estimate, ...]:
     """One estimate for each bounce that the fit explains and that frames follow, in order of time; the last is the fit's own.
 
-    `track` and `measured` are those that `fit` was made from, and so is `table`. Flights too short for a fit are skipped.
+    `track`, `measured`, `table` and `intervals` are those that `fit` was made from. Flights too short for a fit are skipped.
     """
     if not fit.bounces_fitted:
         return ()
@@ -58,7 +63,7 @@ def sequential_estimates(
         shorter = Throw(measured.flights[: last + 1], measured.impacts[:last])
         beam = extend_through_bounces(beam, shorter, free)
         if beam[0].reached == last:
-            found.append(_estimate(beam[0], measured))
+            found.append(_estimate(beam[0], measured, free, intervals))
     odds = {fit.landed_face: 1.0} if fit.landed_face is not None else fit.face_odds
     return (*found, Estimate(reached, measured.impacts[reached - 1].time_s, fit.parameters["chi"], odds))
 
@@ -70,12 +75,10 @@ def physics_of_fit(fit: Fit, die: Die, table: Table) -> Physics:
     return Physics(die, table, {"chi": 0.5}, held, fit.restitution).with_values(**values)
 
 
-def _estimate(trajectory: Trajectory, measured: Throw) -> Estimate:
-    """The estimate from one trajectory, with a symmetric interval of χ."""
+def _estimate(trajectory: Trajectory, measured: Throw, free: FreeFlights, intervals: IntervalMethod) -> Estimate:
+    """The estimate from one trajectory, as the whole fit makes its own."""
+    trajectory = weighted_as_inflated(trajectory, free.huber_threshold)
+    chi = parameters_of([trajectory], free, intervals, ["chi"])["chi"]
     covariance = trajectory.inflated_covariance
-    chi = trajectory.physics.values["chi"]
-    half_width = normal_quantile(INTERVAL_LEVEL) * float(np.sqrt(covariance[12, 12]))
-    low, high = np.clip([chi - half_width, chi + half_width], *trajectory.physics.bounds("chi"))
-    parameter = Parameter(chi, float(low), float(high), INTERVAL_LEVEL, True, False)
     _, odds, _ = landing_odds(trajectory.physics, trajectory.state, covariance, trajectory.vertices)
-    return Estimate(trajectory.reached, measured.impacts[trajectory.reached - 1].time_s, parameter, odds)
+    return Estimate(trajectory.reached, measured.impacts[trajectory.reached - 1].time_s, chi, odds)

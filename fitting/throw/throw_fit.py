@@ -245,7 +245,7 @@ def _result_with_bounces(
     variance, tau = best.inflation
     messages += inflation_messages(variance, tau)
     messages += restitution_messages(alternatives)
-    parameters = _parameters(alternatives, task, variance * tau, messages)
+    parameters = _parameters(alternatives, task, messages)
     covariance = best.inflated_covariance
     shares = _variance_shares(best, tuple(parameters), task.free.huber_threshold, tau * variance)
     if shares:
@@ -330,27 +330,37 @@ def _refused(trials: list[Trial]) -> tuple[Effect, ...]:
     return tuple(trial.as_effect for trial in trials if not trial.is_accepted)
 
 
-def _parameters(alternatives: list[Trajectory], task: _Task, scale: float, messages: list[str]) -> dict[str, Parameter]:
-    """Every free parameter with an interval that covers those of all alternatives; None, and a message, where the data leave
-    all of its range open."""
+def _parameters(alternatives: list[Trajectory], task: _Task, messages: list[str]) -> dict[str, Parameter]:
+    """Every free parameter; a message for each that the data leave open."""
+    physics = alternatives[0].physics
+    found = parameters_of(alternatives, task.free, task.intervals)
+    for name in (name for name, parameter in found.items() if parameter.value is None):
+        low, high = physics.bounds(name)
+        messages.append(f"{name} cannot be determined: every value from {low:g} to {high:g} agrees with the frames.")
+    return found
+
+
+def parameters_of(
+    alternatives: list[Trajectory], free: FreeFlights, intervals: IntervalMethod, wanted: Sequence[str] | None = None
+) -> dict[str, Parameter]:
+    """The free parameters of a fit, or those that are wanted, each with an interval that covers those of all trajectories which
+    fit as well as the first; a value of None where the frames leave all of its range open."""
     best, found = alternatives[0], {}
-    covariance, drawn = best.covariance * scale, {}
-    if task.intervals == "bootstrap":
-        drawn = bootstrap_intervals(best, task.free.huber_threshold, level=INTERVAL_LEVEL)
-    z = normal_quantile(INTERVAL_LEVEL)
+    variance, tau = best.inflation
+    scale, drawn, z = variance * tau, {}, normal_quantile(INTERVAL_LEVEL)
+    if intervals == "bootstrap":
+        drawn = bootstrap_intervals(best, free.huber_threshold, level=INTERVAL_LEVEL)
     for k, name in enumerate(best.physics.free, start=12):
-        sigma = float(np.sqrt(covariance[k, k]))
+        if wanted is not None and name not in wanted:
+            continue
+        sigma = float(np.sqrt(best.covariance[k, k] * scale))
         value, bounds = best.physics.values[name], best.physics.bounds(name)
-        if task.intervals == "profile":
-            ends = [_profile(one, name, best, scale, task.free) for one in alternatives]
+        if intervals == "profile":
+            ends = [_profile(one, name, best, scale, free) for one in alternatives]
             low, high = min(end[0] for end in ends), max(end[1] for end in ends)
         else:
             low, high = drawn.get(name, (value - z * sigma, value + z * sigma))
         found[name] = _bounded(value, low, high, bounds=bounds, near=_AT_BOUND_SIGMAS * sigma)
-        if found[name].value is None:
-            messages.append(
-                f"{name} cannot be determined: every value from {bounds[0]:g} to {bounds[1]:g} agrees with the frames."
-            )
     return found
 
 

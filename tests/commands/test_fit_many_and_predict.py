@@ -120,7 +120,14 @@ def test_a_prediction_honours_the_motion_of_the_table_and_the_gravity_that_the_s
     off = {}
     for name, more in (("stated", motion + world), ("at_rest", world)):
         (tmp_path / f"{name}.toml").write_text(f"[clip]\nfps = 1500.0\n{CUBE_ON_WOOD}{more}")
-        wanted = ("--scene", tmp_path / f"{name}.toml", "--fit", tmp_path / "fit.json", "--out", tmp_path / f"{name}.csv")
+        wanted = (
+            "--scene",
+            tmp_path / f"{name}.toml",
+            "--fit",
+            tmp_path / "fit.json",
+            "--out",
+            tmp_path / f"{name}.csv",
+        )
         status, _, notes = invoke("predict", tmp_path / "throw.csv", *wanted, "--draws", 0)
         assert status == 0, notes
         off[name] = json.loads((tmp_path / f"{name}.json").read_text())["position_error_m"]

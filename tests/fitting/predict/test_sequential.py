@@ -11,10 +11,11 @@ from throws import random_release, roughly_measured, seen, true_throw
 
 from diethrow.fitting.predict.sequential import Estimate, physics_of_fit, sequential_estimates
 from diethrow.fitting.results import Fit
-from diethrow.fitting.throw.throw_fit import fit_throw
+from diethrow.fitting.throw.throw_fit import IntervalMethod, fit_throw
 from diethrow.model.die.die import make_die
 from diethrow.model.laws import LEVEL
 from diethrow.model.throw.motion import Throw
+from diethrow.tracking.throw import frames_in_flight
 
 CUBE = make_die("cube", 0.016, 0.0048)
 CHI = 0.58
@@ -38,6 +39,26 @@ def test_each_bounce_has_one_estimate_at_its_instant(estimated: tuple[tuple[Esti
 def test_the_last_estimate_is_that_of_the_whole_fit(estimated: tuple[tuple[Estimate, ...], Fit, Throw]) -> None:
     found, fit, _ = estimated
     assert found[-1].chi == fit.parameters["chi"]
+
+
+@pytest.mark.parametrize("intervals", ["profile", "covariance"])
+def test_an_estimate_is_that_of_a_fit_to_the_frames_so_far(intervals: IntervalMethod) -> None:
+    rng = np.random.default_rng(2)
+    throw = true_throw(CUBE, random_release(CUBE, rng), CHI, impacts=3)
+    track, measured = seen(throw, rng), roughly_measured(throw, rng)
+    fit = fit_throw(track, measured, CUBE, intervals=intervals)
+    found = sequential_estimates(track, measured, CUBE, fit, intervals=intervals)
+    for estimate in found[:-1]:
+        shorter = Throw(measured.flights[: estimate.bounces + 1], measured.impacts[: estimate.bounces])
+        own = fit_throw(frames_in_flight(track, shorter), shorter, CUBE, intervals=intervals)
+        chi = own.parameters["chi"]
+        assert chi.value is not None
+        assert chi.high is not None
+        assert chi.low is not None
+        width = chi.high - chi.low
+        assert estimate.chi.value == pytest.approx(chi.value, abs=0.1 * width)
+        assert estimate.chi.low == pytest.approx(chi.low, abs=0.1 * width)
+        assert estimate.chi.high == pytest.approx(chi.high, abs=0.1 * width)
 
 
 def test_every_interval_holds_the_truth_and_none_is_wider_than_the_one_before(

@@ -24,14 +24,16 @@ def test_every_block_is_a_run_of_one_flight_laid_on_one_flight(sizes, length):
 
 
 def test_every_frame_of_a_long_flight_is_drawn_as_often_but_for_its_ends():
-    """Moving blocks: a frame at distance d < length from an end lies in d + 1 of the blocks, all others in as many as they have."""
+    """A frame at distance d < length from an end lies in d + 1 of them, the others in as many as a block is long."""
     flight, length = np.zeros(50, np.int64), 5
     rng = np.random.default_rng(6)
     counts = np.bincount(np.concatenate([block_rows(flight, length, rng) for _ in range(4000)]), minlength=50)
     inner = counts[length:-length] / counts[length:-length].mean()
     # 4000 draws of 50 frames: 4300 a frame, in blocks, 2.5 % at the most (three of their sigmas).
     np.testing.assert_allclose(inner, 1.0, atol=0.08)
-    np.testing.assert_allclose(counts[:length] / counts[length:-length].mean(), np.arange(1, length + 1) / length, atol=0.08)
+    np.testing.assert_allclose(
+        counts[:length] / counts[length:-length].mean(), np.arange(1, length + 1) / length, atol=0.08
+    )
 
 
 def test_blocks_keep_the_correlation_of_errors_within_flights():

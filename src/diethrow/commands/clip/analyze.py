@@ -67,7 +67,9 @@ def analyze(
             camera=tracking.cameras[0],
             fit=fit,
             simulated=simulated if fit.throw else None,
-            estimates=estimate_sequentially(tracking.unbiased, tracking.measured, tracking.die, fit, progress, watch),
+            estimates=estimate_sequentially(
+                tracking.unbiased, tracking.measured, tracking.die, fit, progress, watch, intervals
+            ),
             notices=notices,
         )
         record_replay(folder, record, progress, watch)

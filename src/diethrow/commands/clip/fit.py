@@ -75,7 +75,7 @@ def fit_track(
             fps=rate_hz(frames),
             fit=fit,
             simulated=simulated if fit.throw else None,
-            estimates=estimate_sequentially(frames, measured, die, fit, progress, watch, table),
+            estimates=estimate_sequentially(frames, measured, die, fit, progress, watch, intervals, table),
             notices=notices,
         )
         record_replay(folder, record, progress, watch)
@@ -107,12 +107,13 @@ def estimate_sequentially(
     fit: Fit,
     progress: Progress,
     watch: Stopwatch,
+    intervals: IntervalMethod,
     table: ModelTable | None = None,
 ) -> tuple[Estimate, ...]:
     """The estimates from the frames up to each bounce."""
     with watch.stage("estimates"):
         progress("Bounce by bounce", 0, 0)
-        return sequential_estimates(frames_in_flight(frames, measured), measured, die, fit, table)
+        return sequential_estimates(frames_in_flight(frames, measured), measured, die, fit, table, intervals)
 
 
 def write_model(folder: Path, fit: Fit, frames: Track) -> Track:
