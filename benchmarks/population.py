@@ -180,7 +180,7 @@ def clip_result(
         with one_thread():
             check_scene(scene)
             tracking = track_scene(scene, silent, Stopwatch(), QUALITIES[quality])
-            fit = run_fit(tracking.unbiased, tracking.measured, tracking.die, silent, Stopwatch(), "profile")
+            fit = run_fit(tracking.unbiased, tracking.measured, tracking.die, silent, Stopwatch())
         result |= {"outcome": "analysed"} | compared(exact, read_truth(folder), tracking, fit, draw.law.chi)
     except (RunError, SceneError) as error:
         result |= {"outcome": "refused", "reason": str(error)}

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,46 @@ class Effect:
     """Units of log-likelihood by which the effect improves the fit; None if it was not tried."""
     why_not: str | None
     """Why it was refused, as a sentence; None for an effect that was accepted."""
+
+
+IntervalMethod = Literal["profile", "covariance", "bootstrap"]
+INTERVAL_METHODS: tuple[IntervalMethod, ...] = ("profile", "covariance", "bootstrap")
+"""Where the profile of the cost rises by z²; ±1.96 σ, cut at what the law allows; percentiles of fits to residuals redrawn
+in blocks. The first needs neither a quadratic cost nor a normal distribution and takes 2 to 3 times as long as the second;
+the third takes far longer."""
+
+MISFIT_LIMITS = 1.5, 4.0
+"""Least and largest misfit limit: below, no other explanation of a flight is looked for; beyond, descents are given up."""
+
+MOST_FRICTION = 3.0
+"""Largest coefficient of friction of a fit."""
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What a fit assumes or decides beside what the frames show; in `fit.json`, with a switch of `diethrow fit` for each."""
+
+    intervals: IntervalMethod = "profile"
+    """Where the intervals come from."""
+    misfit_limit: float = 2.5
+    """Largest ratio of the residuals of a trajectory to those of free flights at which it still explains the frames. Smaller
+    stops the fit at a bounce that the law describes nearly; larger takes wrong corners for such bounces."""
+    usual_friction: float | None = 0.3
+    """Friction coefficient of usual scenes. Where the frames allow any larger one, the fitted value nearest to it is reported;
+    None: that of the least cost, though others cost as much."""
+
+    def __post_init__(self) -> None:
+        low, high = MISFIT_LIMITS
+        if not low <= self.misfit_limit <= high:
+            raise ValueError(f"misfit_limit = {self.misfit_limit}: wanted a ratio from {low:g} to {high:g}")
+        if self.usual_friction is not None and not 0.0 < self.usual_friction <= MOST_FRICTION:
+            raise ValueError(
+                f"usual_friction = {self.usual_friction}: wanted a coefficient above 0, up to {MOST_FRICTION:g}, or None"
+            )
+
+
+USUAL_CHOICES = Choices()
+"""What is not said otherwise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,3 +123,5 @@ class Fit:
     variance_shares: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Shares of the variance of each parameter, which add up to 1: `noise` of the frames, `calibration`, `die`, `clock`, and
     `impact law`, what the residuals show beyond all of these. Empty where cameras, die and clock are exact."""
+    choices: Choices = USUAL_CHOICES
+    """What it was made with."""

@@ -32,6 +32,7 @@ from ..estimation import (
     whitened_jacobian,
     with_noise,
 )
+from ..results import USUAL_CHOICES, Choices
 
 Array = NDArray[np.float64]
 
@@ -101,13 +102,16 @@ class FreeFlights:
     """Number of frames without a usable covariance, and the sigmas [m], [rad] estimated from their flights. NaN where
     no flight is long enough; those frames are then left out."""
 
+    choices: Choices = USUAL_CHOICES
+    """What fits of a law to them assume or decide."""
+
     @property
     def huber_threshold(self) -> float:
         """k² of the robust loss: bad frames are bad relative to the actual scatter of the frames."""
         return HUBER_THRESHOLD * max(1.0, self.variance)
 
 
-def fit_flights(observations: FlightObservations, measured: Throw) -> FreeFlights:
+def fit_flights(observations: FlightObservations, measured: Throw, choices: Choices = USUAL_CHOICES) -> FreeFlights:
     """Fit every flight of a measured throw by itself, started from the measured motion."""
     missing = np.asarray(~np.isfinite(observations.whitener).all((1, 2)))
     noise = None
@@ -123,7 +127,8 @@ def fit_flights(observations: FlightObservations, measured: Throw) -> FreeFlight
     for k, flight in enumerate(measured.flights):
         fit, kept[observations.flight == k] = _without_outliers(observations.where(observations.flight == k), flight)
         fits.append(fit)
-    return FreeFlights(observations.where(kept), tuple(fits), _pooled_variance(fits), int((~kept).sum()), noise)
+    outliers = int((~kept).sum())
+    return FreeFlights(observations.where(kept), tuple(fits), _pooled_variance(fits), outliers, noise, choices)
 
 
 def fit_flight(observations: FlightObservations, guess: Flight) -> FreeFlight | None:

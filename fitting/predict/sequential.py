@@ -16,7 +16,6 @@ from ..estimation import flight_observations
 from ..free import FreeFlights, fit_flights
 from ..results import Fit, Parameter
 from ..throw import (
-    IntervalMethod,
     Physics,
     Trajectory,
     extend_through_bounces,
@@ -47,15 +46,14 @@ def sequential_estimates(
     die: Die,
     fit: Fit,
     table: Table | None = None,
-    intervals: IntervalMethod = "profile",
 ) -> tuple[Estimate, ...]:
     """One estimate for each bounce that the fit explains and that frames follow, in order of time; the last is the fit's own.
 
-    `track`, `measured`, `table` and `intervals` are those that `fit` was made from. Flights too short for a fit are skipped.
+    `track`, `measured` and `table` are those that `fit` was made from. Flights too short for a fit are skipped.
     """
     if not fit.bounces_fitted:
         return ()
-    free = fit_flights(flight_observations(track, measured), measured)
+    free = fit_flights(flight_observations(track, measured), measured, fit.choices)
     first = next(k for k, flight in enumerate(free.flights) if flight is not None)
     reached = first + fit.bounces_fitted
     beam, found = [first_flight_trajectory(free, first, physics_of_fit(fit, die, table_under(track, table)))], []
@@ -63,7 +61,7 @@ def sequential_estimates(
         shorter = Throw(measured.flights[: last + 1], measured.impacts[:last])
         beam = extend_through_bounces(beam, shorter, free)
         if beam[0].reached == last:
-            found.append(_estimate(beam[0], measured, free, intervals))
+            found.append(_estimate(beam[0], measured, free))
     odds = {fit.landed_face: 1.0} if fit.landed_face is not None else fit.face_odds
     return (*found, Estimate(reached, measured.impacts[reached - 1].time_s, fit.parameters["chi"], odds))
 
@@ -75,10 +73,10 @@ def physics_of_fit(fit: Fit, die: Die, table: Table) -> Physics:
     return Physics(die, table, {"chi": 0.5}, held, fit.restitution).with_values(**values)
 
 
-def _estimate(trajectory: Trajectory, measured: Throw, free: FreeFlights, intervals: IntervalMethod) -> Estimate:
+def _estimate(trajectory: Trajectory, measured: Throw, free: FreeFlights) -> Estimate:
     """The estimate from one trajectory, as the whole fit makes its own."""
     trajectory = weighted_as_inflated(trajectory, free.huber_threshold)
-    chi = parameters_of([trajectory], free, intervals, ["chi"])["chi"]
+    chi = parameters_of([trajectory], free, ["chi"])["chi"]
     covariance = trajectory.inflated_covariance
     _, odds, _ = landing_odds(trajectory.physics, trajectory.state, covariance, trajectory.vertices)
     return Estimate(trajectory.reached, measured.impacts[trajectory.reached - 1].time_s, chi, odds)

@@ -19,7 +19,5 @@ from .shooting import Trajectory as Trajectory
 from .shooting import first_flight_trajectory as first_flight_trajectory
 from .shooting import weighted_as_inflated as weighted_as_inflated
 from .throw_fit import INTERVAL_LEVEL as INTERVAL_LEVEL
-from .throw_fit import INTERVAL_METHODS as INTERVAL_METHODS
-from .throw_fit import IntervalMethod as IntervalMethod
 from .throw_fit import fit_throw as fit_throw
 from .throw_fit import parameters_of as parameters_of

@@ -11,9 +11,9 @@ The extension ends
 
 - where rounding, grown from bounce to bounce, becomes visible (`MAX_ROUNDING`). After some ten bounces no double can name
   the initial state of the throw, while its parameters are long known better than any table is even.
-- at the first bounce that the model cannot explain: the frames lie more than `MISFIT` times as far from every trajectory
-  as they scatter about free flights. A wrong vertex or a wrong law misses by tens. Errors that tracking repeats from frame
-  to frame, which a flight absorbs and a throw does not, stay below.
+- at the first bounce that the model cannot explain: the frames lie more than `Choices.misfit_limit` times as far from
+  every trajectory as they scatter about free flights. A wrong vertex or a wrong law misses by tens. Errors that tracking
+  repeats from frame to frame, which a flight absorbs and a throw does not, stay below.
 """
 
 from __future__ import annotations
@@ -38,9 +38,6 @@ from .shooting import (
     refitted_with,
     with_physics,
 )
-
-MISFIT = 2.5
-"""Largest ratio of the residuals of a trajectory to those of free flights at which it still explains the frames."""
 
 _GOOD_MISFIT = 1.5
 """The same ratio below which no other explanation of a flight is looked for."""
@@ -70,9 +67,6 @@ _ATTEMPTED_SEQUENCES = 2
 
 _SAME_VALUE = 0.01
 """Difference of a coefficient below which two starts are the same."""
-
-_USUAL_FRICTION = 0.3
-"""Friction coefficient of usual scenes, reported where the frames allow any larger one."""
 
 _NEGLIGIBLE_RESIDUAL = 1e-6
 """Difference of all residuals [sigma] below which two definitions of restitution are the same: no slip stops or turns within
@@ -133,8 +127,10 @@ def best_attempt(trajectory: Trajectory, measured: Throw, free: FreeFlights) -> 
     return None
 
 
-def is_explained(trajectory: Trajectory, free: FreeFlights, misfit: float = MISFIT) -> bool:
-    """Whether no flight lies farther from the trajectory than `misfit` times what free flights leave."""
+def is_explained(trajectory: Trajectory, free: FreeFlights, misfit: float | None = None) -> bool:
+    """Whether no flight lies farther from the trajectory than `misfit` times what free flights leave; by default the limit that
+    was chosen for these."""
+    misfit = free.choices.misfit_limit if misfit is None else misfit
     for k, mean_square in mean_squares(trajectory).items():
         alone = free.flights[k]
         allowed = max(1.0, free.variance)
@@ -173,7 +169,7 @@ def extend(
         tolerance = COARSE_TOLERANCE if count < len(new) else COST_TOLERANCE
         trajectory = fit_trajectory(window, trajectory, vertices, k2, tolerance=tolerance)
         worst = max(mean_squares(trajectory).values())
-        if not exhaustive and worst > _HOPELESS * MISFIT**2 * max(1.0, free.variance):
+        if not exhaustive and worst > _HOPELESS * free.choices.misfit_limit**2 * max(1.0, free.variance):
             return None
     clear = clear_of_impacts(trajectory)
     if not clear.all():
@@ -307,9 +303,12 @@ def friction_alternatives(
         if min(one.cost(k2) for one in preferred) <= allowed:
             break
     # Where any friction above a limit fits equally well, the value nearest to that of usual scenes is reported.
-    least = min(one.cost(k2) for one in preferred)
-    unusual = {id(one): abs(np.log(max(one.physics.values["mu"], _SAME_VALUE) / _USUAL_FRICTION)) for one in preferred}
-    ranked = sorted(preferred, key=lambda one: (one.cost(k2) > least + COARSE_TOLERANCE, unusual[id(one)]))
+    least, usual = min(one.cost(k2) for one in preferred), free.choices.usual_friction
+    rank = {
+        id(one): one.cost(k2) if usual is None else abs(np.log(max(one.physics.values["mu"], _SAME_VALUE) / usual))
+        for one in preferred
+    }
+    ranked = sorted(preferred, key=lambda one: (one.cost(k2) > least + COARSE_TOLERANCE, rank[id(one)]))
     others = [min(found[kind], key=lambda one: one.cost(k2)) for kind in RESTITUTIONS if found[kind] is not preferred]
     ranked += others if by_every_definition else []
     return [one for one in ranked if one.cost(k2) <= allowed]

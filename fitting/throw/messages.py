@@ -9,7 +9,7 @@ import numpy as np
 from ..free import Bounce, FreeFlights
 from ..results import Parameter
 from .contact_sequences import Vertices, own_sequence
-from .extension import MISFIT, at_its_limit, can_go_on, keeps_its_sequence
+from .extension import at_its_limit, can_go_on, keeps_its_sequence
 from .shooting import Trajectory
 
 _NOTABLE_VARIANCE = 1.5
@@ -125,8 +125,9 @@ def _why_no_more(trajectory: Trajectory, free: FreeFlights, explained: int, besi
             "errors of the initial state grow from bounce to bounce, and double precision cannot carry the fit through "
             f"another (rounding alone already moves frames by {trajectory.rounding:.0e} sigma)"
         )
+    limit = free.choices.misfit_limit
     return (
-        f"after bounce {explained + 1} every trajectory that was tried lies more than {MISFIT:g} times as far from the "
+        f"after bounce {explained + 1} every trajectory that was tried lies more than {limit:g} times as far from the "
         f"frames as they scatter: none of the laws that were tried describes it, or some poses of {beside} are wrong"
     )
 

@@ -41,6 +41,7 @@ from ...model.laws import (
 from ...model.throw import Propagation, State, ThrowResult, Until, body_of, checked_release, propagate, throw_die
 from ...tracking.track import Track
 from ..free import CENTRE_OF_MASS, TABLE_MOTION
+from ..results import MOST_FRICTION
 
 Array = NDArray[np.float64]
 
@@ -70,7 +71,7 @@ _NEUTRAL = {"clock_scale": 1.0, "length_scale": 1.0}
 
 _BOUNDS = {
     "chi": (0.0, 1.0),
-    "mu": (0.0, 3.0),
+    "mu": (0.0, MOST_FRICTION),
     "chi_fade_s_per_m": (0.0, 100.0),
     "mu_fade_s_per_m": (0.0, 100.0),
     "tilt_x_rad": (-0.3, 0.3),

@@ -53,7 +53,7 @@ MOST_AWAY_M = 100.0
 """Distance by which it may move a start along each axis."""
 
 _HOPELESS = 2.0
-"""Cost in k² per frame above which a trajectory is no fit; one within `extension.MISFIT` costs less."""
+"""Cost in k² per frame above which a trajectory is no fit; one within any `Choices.misfit_limit` costs less."""
 
 _CLEARANCE_FRAMES = 0.5
 """Frame intervals between a frame and a modelled impact, as in `observations`."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +20,7 @@ from ...tracking.flights import perturbed
 from ...tracking.track import Track
 from ..estimation import flight_observations, normal_quantile, profile_interval, variance_inflation
 from ..free import Bounce, FreeFlights, common_restitution, fit_flights, measure_bounces
-from ..results import Effect, Fit, Parameter
+from ..results import USUAL_CHOICES, Choices, Effect, Fit, Parameter
 from .bootstrap import bootstrap_intervals
 from .clock_and_scale import as_tracked
 from .effects import Trial, superseded_effect, try_effects, try_effects_on_next_flight
@@ -53,12 +52,6 @@ from .shooting import (
 Array = NDArray[np.float64]
 
 INTERVAL_LEVEL = 0.95
-
-IntervalMethod = Literal["profile", "covariance", "bootstrap"]
-INTERVAL_METHODS: tuple[IntervalMethod, ...] = ("profile", "covariance", "bootstrap")
-"""Where the profile of the cost rises by z²; ±1.96 σ, cut at what the law allows; percentiles of fits to residuals redrawn
-in blocks. The first needs neither a quadratic cost nor a normal distribution and takes 2 to 3 times as long as the second;
-the third takes far longer."""
 
 _START_CHI = 0.5
 """χ before any bounce is measured."""
@@ -95,7 +88,6 @@ class _Task:
     free: FreeFlights
     first: int
     """The first flight with two frames."""
-    intervals: IntervalMethod
 
     def bounces(self, die: Die, begin: int, end: int | None = None) -> tuple[Bounce | None, ...]:
         """The measured impacts from `begin` up to `end`, each measured by the flights on either side."""
@@ -109,7 +101,7 @@ class _Task:
 
 
 def fit_throw(
-    track: Track, measured: Throw, die: Die, table: Table | None = None, intervals: IntervalMethod = "profile"
+    track: Track, measured: Throw, die: Die, table: Table | None = None, choices: Choices = USUAL_CHOICES
 ) -> Fit:
     """χ and the initial conditions of a tracked throw, with intervals, from all bounces that the model explains.
 
@@ -118,13 +110,14 @@ def fit_throw(
     Without a `table` it is level and at rest. Raises ValueError if the columns of the track have different lengths, and for a
     table that stands where gravity is another than the track's.
     """
-    fit = _fit(track, measured, Physics(die, table_under(track, table), {"chi": _START_CHI}), intervals)
+    physics = Physics(die, table_under(track, table), {"chi": _START_CHI})
+    fit = replace(_fit(track, measured, physics, choices), choices=choices)
     rested = resting_face(track, die)
     return fit if rested is None else replace(fit, landed_face=rested)
 
 
-def _fit(track: Track, measured: Throw, physics: Physics, intervals: IntervalMethod) -> Fit:
-    free = fit_flights(flight_observations(track, measured), measured)
+def _fit(track: Track, measured: Throw, physics: Physics, choices: Choices) -> Fit:
+    free = fit_flights(flight_observations(track, measured), measured, choices)
     messages = frame_messages(free)
     first = next((k for k, flight in enumerate(free.flights) if flight is not None), None)
     if first is None:
@@ -132,7 +125,7 @@ def _fit(track: Track, measured: Throw, physics: Physics, intervals: IntervalMet
         return _empty_result(messages)
     if first > 0:
         messages.append(f"The fit begins after bounce {first}: the frames before it do not make a flight.")
-    task = _Task(track, measured, free, first, intervals)
+    task = _Task(track, measured, free, first)
     if len(measured.flights) == first + 1:
         messages.append("chi cannot be determined: the track shows no bounce after the first flight.")
         return _first_flight_result(task, first_flight_trajectory(free, first, physics), messages)
@@ -333,7 +326,7 @@ def _refused(trials: list[Trial]) -> tuple[Effect, ...]:
 def _parameters(alternatives: list[Trajectory], task: _Task, messages: list[str]) -> dict[str, Parameter]:
     """Every free parameter; a message for each that the data leave open."""
     physics = alternatives[0].physics
-    found = parameters_of(alternatives, task.free, task.intervals)
+    found = parameters_of(alternatives, task.free)
     for name in (name for name, parameter in found.items() if parameter.value is None):
         low, high = physics.bounds(name)
         messages.append(f"{name} cannot be determined: every value from {low:g} to {high:g} agrees with the frames.")
@@ -341,21 +334,21 @@ def _parameters(alternatives: list[Trajectory], task: _Task, messages: list[str]
 
 
 def parameters_of(
-    alternatives: list[Trajectory], free: FreeFlights, intervals: IntervalMethod, wanted: Sequence[str] | None = None
+    alternatives: list[Trajectory], free: FreeFlights, wanted: Sequence[str] | None = None
 ) -> dict[str, Parameter]:
     """The free parameters of a fit, or those that are wanted, each with an interval that covers those of all trajectories which
     fit as well as the first; a value of None where the frames leave all of its range open."""
     best, found = alternatives[0], {}
     variance, tau = best.inflation
     scale, drawn, z = variance * tau, {}, normal_quantile(INTERVAL_LEVEL)
-    if intervals == "bootstrap":
+    if free.choices.intervals == "bootstrap":
         drawn = bootstrap_intervals(best, free.huber_threshold, level=INTERVAL_LEVEL)
     for k, name in enumerate(best.physics.free, start=12):
         if wanted is not None and name not in wanted:
             continue
         sigma = float(np.sqrt(best.covariance[k, k] * scale))
         value, bounds = best.physics.values[name], best.physics.bounds(name)
-        if intervals == "profile":
+        if free.choices.intervals == "profile":
             ends = [_profile(one, name, best, scale, free) for one in alternatives]
             low, high = min(end[0] for end in ends), max(end[1] for end in ends)
         else:

@@ -157,3 +157,34 @@ def test_a_frame_that_the_track_does_not_allow_is_refused(throws: Path, fitted: 
         status, _, notes = invoke("predict", throws / "throw_0.csv", *wanted)
         assert status == 1
         assert expected in " ".join(notes.split())
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (("--misfit-limit", 9), "--misfit-limit = 9.0: wanted a ratio from 1.5 to 4"),
+        (("--usual-friction", "steel"), "--usual-friction = steel: wanted a coefficient of friction, or none"),
+    ],
+)
+def test_a_choice_that_a_fit_does_not_have_is_refused_by_the_name_of_its_option(
+    throws: Path, tmp_path: Path, options: tuple, expected: str
+) -> None:
+    where = ("--scene", throws / "scene.toml", "--out", tmp_path / "out")
+    status, _, notes = invoke("fit", throws / "throw_0.csv", *where, *options)
+    assert status == 2
+    assert expected in " ".join(notes.split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_choices_of_a_fit_are_in_its_file_and_in_the_command_that_repeats_it(throws: Path, tmp_path: Path) -> None:
+    where = ("--scene", throws / "scene.toml", "--out", tmp_path / "out")
+    options = ("--misfit-limit", 3.0, "--usual-friction", "none", "--intervals", "covariance")
+    status, _, notes = invoke("fit", throws / "throw_0.csv", *where, *options)
+    assert status == 0, notes
+    chosen = {"intervals": "covariance", "misfit_limit": 3.0, "usual_friction": None}
+    assert json.loads((tmp_path / "out" / "fit.json").read_text())["choices"] == chosen
+    repeated = json.loads((tmp_path / "out" / "provenance.json").read_text())["command"]
+    assert {str(word) for word in options} <= set(repeated)
+    status, _, notes = invoke("fit", throws / "throw_0.csv", throws / "throw_1.csv", *where, "--misfit-limit", 3.0)
+    assert status == 2
+    assert "--misfit-limit does not apply to several tracks" in " ".join(notes.split())

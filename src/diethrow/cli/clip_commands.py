@@ -19,13 +19,16 @@ from .options import (
     Force,
     FrameTiming,
     Intervals,
+    MisfitLimit,
     OutFolder,
     SceneFile,
     Scheduler,
     Shrink,
     Threads,
+    UsualFriction,
     as_typed,
     checked_scene,
+    choices_of,
     command_words,
     executor_for,
     flag_words,
@@ -165,6 +168,8 @@ def fit(
     scene: DieAndTable,
     out: OutFolder,
     intervals: Intervals = "profile",
+    misfit_limit: MisfitLimit = None,
+    usual_friction: UsualFriction = None,
     threads: Threads = None,
     scheduler: Scheduler = None,
     force: Force = False,
@@ -173,11 +178,18 @@ def fit(
     with one_sentence_errors():
         checked = checked_scene(scene, allow_outside=True)  # no footage is opened
         with checked_options():
-            method = interval_method(intervals)
+            choices = choices_of(intervals, misfit_limit, usual_friction)
+        own = (
+            *given_option("--intervals", intervals, "profile"),
+            *given_option("--misfit-limit", misfit_limit, None),
+            *given_option("--usual-friction", usual_friction, None),
+        )
         if len(tracks) > 1:
-            if method != "profile":
+            if own:
                 stop_with_status(
-                    "--intervals does not apply to several tracks; a joint fit resamples throws; leave it out", MISUSED
+                    f"{own[0]} does not apply to several tracks, whose joint fit has its own search and resamples throws; leave "
+                    "it out",
+                    MISUSED,
                 )
             from ..commands.clip.joint_fit import fit_tracks
 
@@ -185,11 +197,10 @@ def fit(
             return
         from ..commands.clip.fit import fit_track
 
-        how = given_option("--intervals", intervals, "profile")
-        command = ("diethrow", "fit", str(tracks[0]), "--scene", str(scene), *output_words(out, force), *how)
+        command = ("diethrow", "fit", str(tracks[0]), "--scene", str(scene), *output_words(out, force), *own)
         with progress_bars() as progress:
             result = fit_track(
-                tracks[0], checked, out, force=force, intervals=method, progress=progress, command=command
+                tracks[0], checked, out, force=force, choices=choices, progress=progress, command=command
             )
         print_analysis(result)
 

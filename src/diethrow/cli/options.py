@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from ..files.scene import Scene
-    from ..fitting.throw import IntervalMethod
+    from ..fitting.results import Choices, IntervalMethod
     from ..tracking.quality import Quality
     from ..tracking.timing import Timing
 
@@ -62,6 +62,24 @@ Intervals = Annotated[
         "--intervals",
         metavar="profile|covariance|bootstrap",
         help="Source of the intervals: the profile likelihood, the covariance, or a bootstrap of the residuals.",
+    ),
+]
+MisfitLimit = Annotated[
+    float | None,
+    typer.Option(
+        "--misfit-limit",
+        metavar="RATIO",
+        help="A bounce is explained while the frames behind it lie at most so many times as far from the model as they scatter, "
+        "1.5 to 4. [default: 2.5]",
+    ),
+]
+UsualFriction = Annotated[
+    str | None,
+    typer.Option(
+        "--usual-friction",
+        metavar="MU|none",
+        help="Where the frames allow any friction above a limit, the fitted value nearest to this is reported; none: that of the "
+        "least cost. [default: 0.3]",
     ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing output once the new one is complete.")]
@@ -139,12 +157,38 @@ def quality_of_name(name: str) -> Quality:
 
 def interval_method(name: str) -> IntervalMethod:
     """The interval method of that name. Raises ValueError for an unknown name."""
-    from ..fitting.throw import INTERVAL_METHODS
+    from ..fitting.results import INTERVAL_METHODS
 
     for method in INTERVAL_METHODS:
         if name == method:
             return method
     raise ValueError(f"--intervals {name}: wanted {', '.join(INTERVAL_METHODS)}")
+
+
+def choices_of(intervals: str, misfit_limit: float | None, usual_friction: str | None) -> Choices:
+    """What a fit assumes, from the options of the command line. Raises ValueError that names the option."""
+    from ..fitting.results import USUAL_CHOICES, Choices
+
+    method = interval_method(intervals)
+    limit = USUAL_CHOICES.misfit_limit if misfit_limit is None else misfit_limit
+    try:
+        usual = USUAL_CHOICES.usual_friction if usual_friction is None else _number_or_none(usual_friction)
+        return Choices(method, limit, usual)
+    except ValueError as error:
+        text = str(error)
+        for name in ("misfit_limit", "usual_friction"):
+            text = text.replace(name, f"--{name.replace('_', '-')}")
+        raise ValueError(text) from error
+
+
+def _number_or_none(text: str) -> float | None:
+    """A number, or None for the word none. Raises ValueError for anything else."""
+    if text == "none":
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"usual_friction = {text}: wanted a coefficient of friction, or none") from None
 
 
 def timing_of_name(name: str) -> Timing:
@@ -165,7 +209,7 @@ def tracking_words(quality: str, every: int, shrink: int, timing: str) -> tuple[
     )  # fmt: skip
 
 
-def given_option(name: str, value: int | str, default: int | str) -> tuple[str, ...]:
+def given_option(name: str, value: float | str | None, default: float | str | None) -> tuple[str, ...]:
     """An option as typed; nothing where it has its default."""
     return () if value == default else (name, str(value))
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fitting.results import Effect, Fit, Parameter
+from ..fitting.results import USUAL_CHOICES, Choices, Effect, Fit, Parameter
 from ..model.laws import CoulombImpact, FrictionBySpeed, Restitution, RestitutionBySpeed, SmoothImpact
 from ..model.rotations import euler_from_quat, matrix_from_quat
 from ..model.throw import State
@@ -46,6 +46,7 @@ def fit_tables(fit: Fit) -> dict[str, Any]:
             "chosen": list(fit.chosen),
             "considered": effects_table(fit.considered),
         },
+        "choices": asdict(fit.choices),
         "bounces_fitted": fit.bounces_fitted,
         "residual_rms": fit.residual_rms,
         "landed_face": fit.landed_face,
@@ -147,6 +148,7 @@ def read_fit(path: Path) -> Fit:
             throw=None,
             restitution=data["law"]["restitution"] if data["law"]["friction"] != "none" else "stronge",
             variance_shares=data.get("variance_shares", {}),
+            choices=Choices(**data["choices"]) if "choices" in data else USUAL_CHOICES,
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ValueError(f"{path}: not a fit ({error!r}); {NOT_A_FIT}") from error

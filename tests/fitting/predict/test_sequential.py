@@ -10,8 +10,8 @@ import pytest
 from throws import random_release, roughly_measured, seen, true_throw
 
 from diethrow.fitting.predict.sequential import Estimate, physics_of_fit, sequential_estimates
-from diethrow.fitting.results import Fit
-from diethrow.fitting.throw.throw_fit import IntervalMethod, fit_throw
+from diethrow.fitting.results import Choices, Fit, IntervalMethod
+from diethrow.fitting.throw.throw_fit import fit_throw
 from diethrow.model.die.die import make_die
 from diethrow.model.laws import LEVEL
 from diethrow.model.throw.motion import Throw
@@ -46,11 +46,11 @@ def test_an_estimate_is_that_of_a_fit_to_the_frames_so_far(intervals: IntervalMe
     rng = np.random.default_rng(2)
     throw = true_throw(CUBE, random_release(CUBE, rng), CHI, impacts=3)
     track, measured = seen(throw, rng), roughly_measured(throw, rng)
-    fit = fit_throw(track, measured, CUBE, intervals=intervals)
-    found = sequential_estimates(track, measured, CUBE, fit, intervals=intervals)
+    fit = fit_throw(track, measured, CUBE, choices=Choices(intervals))
+    found = sequential_estimates(track, measured, CUBE, fit)
     for estimate in found[:-1]:
         shorter = Throw(measured.flights[: estimate.bounces + 1], measured.impacts[: estimate.bounces])
-        own = fit_throw(frames_in_flight(track, shorter), shorter, CUBE, intervals=intervals)
+        own = fit_throw(frames_in_flight(track, shorter), shorter, CUBE, choices=Choices(intervals))
         chi = own.parameters["chi"]
         assert chi.value is not None
         assert chi.high is not None

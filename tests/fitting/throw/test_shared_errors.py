@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from throws import random_release, roughly_measured, seen, true_throw
 
 from diethrow.fitting.estimation import HUBER_THRESHOLD, FlightObservations
+from diethrow.fitting.results import INTERVAL_METHODS, Choices, IntervalMethod
 from diethrow.fitting.throw.shared_errors import variance_shares, without_shared_errors
-from diethrow.fitting.throw.throw_fit import INTERVAL_METHODS, IntervalMethod, fit_throw
+from diethrow.fitting.throw.throw_fit import fit_throw
 from diethrow.model.die.die import make_die
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
 from diethrow.model.throw.motion import Throw
@@ -110,7 +111,7 @@ def test_intervals_contain_what_the_calibration_leaves_open() -> None:
         chi, _, track, measured = drawn(seed)
         fits = [(track, held)] + ([(with_exact_camera(track), without)] if seed < 5 else [])
         for frames, found in fits:
-            fitted = fit_throw(frames, measured, CUBE, intervals="covariance").parameters["chi"]
+            fitted = fit_throw(frames, measured, CUBE, choices=Choices("covariance")).parameters["chi"]
             if fitted.value is not None and fitted.low is not None and fitted.high is not None:
                 found.append(fitted.low <= chi <= fitted.high)
     assert len(held) >= 15
@@ -122,8 +123,8 @@ def test_intervals_contain_what_the_calibration_leaves_open() -> None:
 @pytest.mark.parametrize("method", INTERVAL_METHODS)
 def test_every_kind_of_interval_is_wider_with_an_unknown_camera(method: IntervalMethod) -> None:
     chi, throw, track, measured = drawn(4, 1e-3)
-    fit = fit_throw(track, measured, CUBE, intervals=method)
-    exact = fit_throw(seen(throw, np.random.default_rng(4)), measured, CUBE, intervals=method)
+    fit = fit_throw(track, measured, CUBE, choices=Choices(method))
+    exact = fit_throw(seen(throw, np.random.default_rng(4)), measured, CUBE, choices=Choices(method))
     assert_inside(fit, "chi", chi)
     wide, narrow = ((p.high or 0.0) - (p.low or 0.0) for p in (fit.parameters["chi"], exact.parameters["chi"]))
     assert wide > 1.05 * narrow

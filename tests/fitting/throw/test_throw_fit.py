@@ -16,7 +16,7 @@ from throws import (
     true_throw,
 )
 
-from diethrow.fitting.results import Fit
+from diethrow.fitting.results import Choices, Fit
 from diethrow.fitting.throw.throw_fit import fit_throw
 from diethrow.model.die.die import Die, make_die
 from diethrow.model.laws import Table
@@ -290,7 +290,8 @@ def test_the_three_kinds_of_interval_agree_where_noise_is_normal() -> None:
     """A bootstrap of 200 draws places each end of an interval to a tenth of its width; a quarter is a wide margin."""
     _, track, measured = cube_throw(impacts=2)
     profile, covariance, bootstrap = (
-        chi_of(fit_throw(track, measured, CUBE, intervals=kind)) for kind in ("profile", "covariance", "bootstrap")
+        chi_of(fit_throw(track, measured, CUBE, choices=Choices(kind)))
+        for kind in ("profile", "covariance", "bootstrap")
     )
     width = profile[2] - profile[1]
     assert covariance == pytest.approx(profile, abs=0.02 * width)
@@ -304,7 +305,9 @@ def test_the_profile_follows_the_bends_of_a_long_valley(seed: int) -> None:
     rng = np.random.default_rng(seed)
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.58, impacts=4)
     track, measured = seen(throw, rng, noise=0.05, stated=0.05), roughly_measured(throw, rng)
-    profile, covariance = (chi_of(fit_throw(track, measured, CUBE, intervals=k)) for k in ("profile", "covariance"))
+    profile, covariance = (
+        chi_of(fit_throw(track, measured, CUBE, choices=Choices(k))) for k in ("profile", "covariance")
+    )
     assert profile[2] - profile[1] == pytest.approx(covariance[2] - covariance[1], rel=0.01)
 
 

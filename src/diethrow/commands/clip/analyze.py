@@ -15,7 +15,7 @@ from ...files.csv_and_json import read_json
 from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, unchanged_inputs
 from ...files.scene import Scene
-from ...fitting.throw import IntervalMethod
+from ...fitting.results import Choices, IntervalMethod
 from ...replay.elements import Record
 from ...replay.pages import ReportDetails
 from ...tracking.check import Finding, contact_heights, fall_of_correlated_frames, frame_timing, judge_throw
@@ -52,7 +52,7 @@ def analyze(
     paths = input_paths(scene)
     with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, unchanged_inputs(paths) as inputs:
         tracking = track_scene(scene, progress, watch, quality, decimation=decimation, timing=timing)
-        fit = run_fit(tracking.unbiased, tracking.measured, tracking.die, progress, watch, intervals)
+        fit = run_fit(tracking.unbiased, tracking.measured, tracking.die, progress, watch, Choices(intervals))
         fit = replace(fit, messages=(*fit.messages, *scene.assumptions))
         notices = tracking.notices
         write_tracking(folder, scene, tracking)
@@ -67,9 +67,7 @@ def analyze(
             camera=tracking.cameras[0],
             fit=fit,
             simulated=simulated if fit.throw else None,
-            estimates=estimate_sequentially(
-                tracking.unbiased, tracking.measured, tracking.die, fit, progress, watch, intervals
-            ),
+            estimates=estimate_sequentially(tracking.unbiased, tracking.measured, tracking.die, fit, progress, watch),
             notices=notices,
         )
         record_replay(folder, record, progress, watch)

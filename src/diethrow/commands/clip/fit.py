@@ -24,8 +24,8 @@ from ...files.throw_records import (
     write_vertices,
 )
 from ...fitting.predict import Estimate, sequential_estimates
-from ...fitting.results import Fit
-from ...fitting.throw import IntervalMethod, fit_throw
+from ...fitting.results import USUAL_CHOICES, Choices, Fit
+from ...fitting.throw import fit_throw
 from ...model.die import Die
 from ...model.laws import Table as ModelTable
 from ...model.throw import Throw
@@ -43,7 +43,7 @@ def fit_track(
     out: Path,
     *,
     force: bool = False,
-    intervals: IntervalMethod = "profile",
+    choices: Choices = USUAL_CHOICES,
     progress: Progress = silent,
     command: tuple[str, ...] = (),
 ) -> Analysis:
@@ -61,7 +61,7 @@ def fit_track(
         else:
             found = FoundThrow(tracked.frames, tracked.throw, smooth(tracked.frames, tracked.throw), ())
         frames, measured, notices = found.independent, found.throw, (*smoothed_notices(track_path), *found.doubts)
-        fit = run_fit(frames, measured, die, progress, watch, intervals, table)
+        fit = run_fit(frames, measured, die, progress, watch, choices, table)
         if tracked is not None:
             fit = replace(fit, messages=(*fit.messages, *scene.assumptions))
         write_vertices(folder / "vertices.csv", die.solid)
@@ -75,7 +75,7 @@ def fit_track(
             fps=rate_hz(frames),
             fit=fit,
             simulated=simulated if fit.throw else None,
-            estimates=estimate_sequentially(frames, measured, die, fit, progress, watch, intervals, table),
+            estimates=estimate_sequentially(frames, measured, die, fit, progress, watch, table),
             notices=notices,
         )
         record_replay(folder, record, progress, watch)
@@ -91,13 +91,13 @@ def run_fit(
     die: Die,
     progress: Progress,
     watch: Stopwatch,
-    intervals: IntervalMethod,
+    choices: Choices = USUAL_CHOICES,
     table: ModelTable | None = None,
 ) -> Fit:
     """The fit of a track whose flights are measured."""
     with watch.stage("fit"):
         progress("Fitting the model", 0, 0)
-        return fit_throw(frames_in_flight(frames, measured), measured, die, table, intervals)
+        return fit_throw(frames_in_flight(frames, measured), measured, die, table, choices)
 
 
 def estimate_sequentially(
@@ -107,13 +107,12 @@ def estimate_sequentially(
     fit: Fit,
     progress: Progress,
     watch: Stopwatch,
-    intervals: IntervalMethod,
     table: ModelTable | None = None,
 ) -> tuple[Estimate, ...]:
     """The estimates from the frames up to each bounce."""
     with watch.stage("estimates"):
         progress("Bounce by bounce", 0, 0)
-        return sequential_estimates(frames_in_flight(frames, measured), measured, die, fit, table, intervals)
+        return sequential_estimates(frames_in_flight(frames, measured), measured, die, fit, table)
 
 
 def write_model(folder: Path, fit: Fit, frames: Track) -> Track:

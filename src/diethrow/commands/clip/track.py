@@ -17,7 +17,7 @@ from ...files.provenance import Inputs, Stopwatch, unchanged_inputs, write_prove
 from ...files.scene import Scene
 from ...files.settings import SceneError, refuse
 from ...files.throw_records import write_bounces, write_faces, write_track, write_vertices
-from ...fitting.throw import IntervalMethod
+from ...fitting.results import IntervalMethod
 from ...model.die import Die
 from ...model.throw import Throw
 from ...tracking.camera import Camera

@@ -40,8 +40,8 @@ from ...files.provenance import Stopwatch, unchanged_inputs, write_provenance
 from ...files.scene import Scene
 from ...fitting.estimation import flight_observations, whiteners
 from ...fitting.free import common_restitution, fit_flights, measure_bounces
-from ...fitting.results import Fit, Parameter
-from ...fitting.throw import INTERVAL_LEVEL, IntervalMethod, fit_throw
+from ...fitting.results import Choices, Fit, IntervalMethod, Parameter
+from ...fitting.throw import INTERVAL_LEVEL, fit_throw
 from ...model.die import Die, die_symmetries
 from ...model.ensembles import ThrowSetup, stepped_landings
 from ...model.laws import SmoothImpact
@@ -364,7 +364,7 @@ def _fits(finest: Run, chi: float | None, draws: int, progress: Progress) -> Ite
 
 def _by_throw(method: IntervalMethod) -> Callable[[Track, Throw, Die], Parameter]:
     def fitted(track: Track, measured: Throw, die: Die) -> Parameter:
-        return fit_throw(track, measured, die, intervals=method).parameters["chi"]
+        return fit_throw(track, measured, die, choices=Choices(method)).parameters["chi"]
 
     return fitted
 
