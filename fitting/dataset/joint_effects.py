@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from ...model.rotations import matrix_from_quat
 from ..results import Effect
@@ -189,7 +189,7 @@ def _starts(physics: Physics, effect: str, entries: Sequence[Entry]) -> list[Phy
 
 def _required_gain(gains: Array) -> float:
     """The mean that gains (throws,) exceed by chance with odds of 1 - `_CONFIDENCE`."""
-    return float(student.ppf(_CONFIDENCE, len(gains) - 1) * gains.std(ddof=1) / np.sqrt(len(gains)))
+    return float(stdtrit(len(gains) - 1, _CONFIDENCE) * gains.std(ddof=1) / np.sqrt(len(gains)))
 
 
 def _evidence(gains: Array) -> float:

@@ -21,7 +21,7 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import ndtri
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ _OVERSHOOT, _MAX_EXPANSION = 1.1, 4.0
 
 def normal_quantile(level: float) -> float:
     """Standard deviations to either side that hold a share `level` of a normal distribution: 1.96 for 0.95."""
-    return float(norm.ppf(0.5 + level / 2.0))
+    return float(ndtri(0.5 + level / 2.0))
 
 
 def variance_inflation(residuals: Array, degrees_of_freedom: float, flight: NDArray[np.int64]) -> tuple[float, float]:

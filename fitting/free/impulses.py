@@ -27,8 +27,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
-from scipy.stats import t as student
+from scipy.special import chdtri, stdtrit
 
 from ...model.die import Die
 from ...model.rotations import matrix_from_quat
@@ -187,7 +186,7 @@ def _impulse_ratio(impulse: Array, covariance: Array, level: float) -> tuple[flo
         # Errors in two directions make a zero vector look long. Along the measured direction alone, the interval would
         # miss 0 three times as often as stated.
         squared = float(impulse[:2] @ np.linalg.pinv(covariance[:2, :2], hermitian=True) @ impulse[:2])
-        low = 0.0 if squared <= chi2.ppf(level, 2) else max(0.0, low)
+        low = 0.0 if squared <= chdtri(2, 1.0 - level) else max(0.0, low)
     return tangential / upward, low, high
 
 
@@ -214,7 +213,7 @@ def common_restitution(bounces: Sequence[Bounce | None], *, level: float = 0.95)
     scatter = float(weight @ (chi - mean) ** 2) / (len(used) - 1)
     sigma = np.sqrt(max(1.0, scatter) / weight.sum())
     # A variance estimated from few bounces is itself uncertain; without one the errors are known and normal.
-    reach = float(student.ppf(0.5 + level / 2.0, len(used) - 1)) if between > 0.0 else normal_quantile(level)
+    reach = float(stdtrit(len(used) - 1, 0.5 + level / 2.0)) if between > 0.0 else normal_quantile(level)
     return mean, mean - reach * sigma, mean + reach * sigma
 
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Solid
 from ...model.rotations import matrix_from_quat
-from ...tracking.camera import Camera
+
+if TYPE_CHECKING:
+    from ...tracking.camera import Camera
 
 Array = NDArray[np.float64]
 

@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from ...model.die import Die, Solid
 from ...model.rotations import continuous_sign, matrix_from_quat, rotation_between
 from ...model.throw import Impact, Throw
-from ...tracking.camera import Camera
-from ...tracking.check import Finding
-from ...tracking.footage import Clip
 from ...tracking.track import TRACKED, Track
 
 if TYPE_CHECKING:
     from ...fitting.predict import Estimate
     from ...fitting.results import Fit
+    from ...tracking.camera import Camera
+    from ...tracking.check import Finding
+    from ...tracking.footage import Clip
 
 Array = NDArray[np.float64]
 

@@ -14,13 +14,15 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import av
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tracking.footage import Clip, Frame
+if TYPE_CHECKING:
+    from ...tracking.footage import Clip, Frame
 
 NOMINAL_FPS = 30
 AV1_PRESET = "8"

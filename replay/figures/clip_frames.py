@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -19,9 +20,11 @@ from numpy.typing import NDArray
 
 from ...model.die import Solid
 from ...model.throw import Impact
-from ...tracking.camera import Camera
-from ...tracking.footage import Clip
 from ..elements import COLOURS, Motion, VisibleEdges, Window, display_window, hex_colour, visible_edges
+
+if TYPE_CHECKING:
+    from ...tracking.camera import Camera
+    from ...tracking.footage import Clip
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as variance_ratio
+from scipy.special import fdtrc
 
 from ..picture import Lens, PoseState, View, with_lens
 from ..pose import SampledFrames, blur_step
@@ -154,7 +154,7 @@ def _thin_lens(depth_m: Array, blurs: Array, focal_px: float) -> Lens | None:
     gain = 0.5 * (alone - left) / max(left / free, 1e-300)
     lowest = -0.5 * curve[1] / curve[0] if curve[0] > 0.0 else np.nan
     nearness_in_focus = middle + width * lowest
-    if not nearness_in_focus > 0.0 or variance_ratio.sf(gain, 2, free) > CHANCE:
+    if not nearness_in_focus > 0.0 or fdtrc(2, free, max(gain, 0.0)) > CHANCE:
         return None
     sharpest_px = _within_limits(float(np.sqrt(max(float(np.polyval(curve, lowest)), 0.0))))
     return Lens(sharpest_px, 4.0 * float(np.sqrt(curve[0])) / width / focal_px, float(1.0 / nearness_in_focus))

@@ -22,8 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
-from scipy.stats import t as student_t
+from scipy.special import ndtr, stdtr
 
 from ...model.rotations import angle_between
 from ..footage import Clip, level_grey, picture_in_light
@@ -176,7 +175,7 @@ class _Trials:
     @property
     def is_certain(self) -> bool:
         """Whether the best exponent that was tried explains the frames better for certain."""
-        return float(student_t.sf(self.best_sigmas, self.gains.shape[1] - 1)) < float(norm.sf(CERTAIN_SIGMAS))
+        return float(stdtr(self.gains.shape[1] - 1, -self.best_sigmas)) < float(ndtr(-CERTAIN_SIGMAS))
 
     @property
     def best_exponent(self) -> float:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from ...executors import width
 from ...files.csv_and_json import write_json
@@ -278,7 +278,7 @@ def _series(tally: Tally) -> dict[str, Any]:
         "equal_odds": {
             "chi_square": statistic,
             "degrees_of_freedom": freedom,
-            "p_value": None if statistic is None else float(chi2.sf(statistic, freedom)),
+            "p_value": None if statistic is None else float(chdtrc(freedom, statistic)),
         },
         "at_impact": [
             {
