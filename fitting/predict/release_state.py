@@ -9,6 +9,9 @@ where σ² is the variance of the frames so far about their own flight, of posit
 of the track is needed. A frame that departs by more than `_SIGMAS` ends the flight if the next one does too (else it is
 a bad frame) and if the die is near the table (else the whole track scatters more than it seemed to). A frame taken just
 after a bounce may still agree; the last frame of a flight is therefore tested again, more strictly, against those before it.
+
+Two frames determine a state, but not how far it is off: the size of their errors is then that of the flight before, or what the
+track states.
 """
 
 from __future__ import annotations
@@ -30,7 +33,10 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 MIN_FLIGHT_FRAMES = 3
-"""Frames that a flight is estimated from: two determine the state, the third the size of the errors."""
+"""Frames that a flight is estimated from by itself: two determine the state, the third the size of the errors."""
+
+LEAST_FRAMES = 2
+"""Frames that determine a state."""
 
 _SIGMAS = 7.0
 """Departure at which a frame belongs to another flight. Most bounces make a hundred sigmas, while the standard deviation of
@@ -133,6 +139,11 @@ class ReleaseState:
             velocity_m_s=self.fair_state.velocity_m_s + self.offset_derivative[1] @ self.centre_of_mass_m,
         )
 
+    @property
+    def frame_covariance(self) -> Array:
+        """(6, 6) of the pose of one frame, as far as these show it."""
+        return np.diag(np.repeat([self.sigma_m**2, self.sigma_rad**2], 3))
+
     def of_die(self, die: Die) -> ReleaseState:
         """The same frames as a flight of this die, whose centre of mass falls freely while the centroid circles it."""
         return replace(self, centre_of_mass_m=die.centre_of_mass_m)
@@ -197,7 +208,8 @@ def release_before(track: Track, die: Die, row: int) -> ReleaseState:
 
     The end of a flight is found as for a fair die: within a flight the centroid departs little from its parabola.
 
-    Raises ValueError if the flight has fewer than three frames, and if the die no longer flies.
+    Raises ValueError if the flight has fewer than three frames (two where the size of their errors is known), and if the die no
+    longer flies.
     """
     rows = usable_rows(track, die)
     rows = rows[rows < row]
@@ -216,18 +228,35 @@ def release_before(track: Track, die: Die, row: int) -> ReleaseState:
                 f"the {count} frames before row {row} make no free flight: they scatter by {1e3 * last.sigma_m:.2g} mm and "
                 f"{np.degrees(last.sigma_rad):.2g} degrees about the nearest one; wanted a frame before the die rolls or lies"
             )
+    left = rows[begin:]
+    if len(left) == LEAST_FRAMES:
+        covariances = track.covariance[left] if first is None else np.tile(first.frame_covariance, (LEAST_FRAMES, 1, 1))
+        if np.isfinite(covariances).all():
+            return _from_two_frames(track, left, covariances).of_die(die)
     raise ValueError(
-        f"{len(rows) - begin} frames with a pose lie before row {row} in one flight; wanted at least {MIN_FLIGHT_FRAMES}: "
-        "begin from another frame"
+        f"{len(left)} frames with a pose lie before row {row} in one flight; wanted at least {MIN_FLIGHT_FRAMES}, or "
+        f"{LEAST_FRAMES} whose errors the track states: begin from another frame"
     )
 
 
 def release_from(track: Track, rows: Indices) -> ReleaseState:
     """The state from three rows or more that are known to belong to one flight."""
     state, errors, jacobian = _nearest(track, rows)
-    sigma_m, sigma_rad = _standard_deviations(errors)
-    covariance = covariance_of(jacobian / np.repeat([sigma_m, sigma_rad], 3)[None, :, None])
-    times = track.time_s[rows]
+    sigmas = _standard_deviations(errors)
+    return _release(track, rows, state, covariance_of(jacobian / np.repeat(sigmas, 3)[None, :, None]), sigmas)
+
+
+def _from_two_frames(track: Track, rows: Indices, covariances: Array) -> ReleaseState:
+    """The state through two rows of one flight, whose poses have these covariances (2, 6, 6)."""
+    state, _, jacobian = _nearest(track, rows)
+    variances = np.diagonal(covariances, axis1=1, axis2=2).reshape(-1, 2, 3).mean(axis=(0, 2))
+    sigma_m, sigma_rad = np.sqrt(variances).tolist()
+    whitened = np.linalg.solve(np.linalg.cholesky(covariances), jacobian)
+    return _release(track, rows, state, covariance_of(whitened), (sigma_m, sigma_rad))
+
+
+def _release(track: Track, rows: Indices, state: State, covariance: Array, sigmas: tuple[float, float]) -> ReleaseState:
+    (sigma_m, sigma_rad), times = sigmas, track.time_s[rows]
     return ReleaseState(
         rows, state, covariance, sigma_m, sigma_rad, float(times[0]), _derivative_by_offset(state, times),
         track.gravity_m_s2,

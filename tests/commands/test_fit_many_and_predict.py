@@ -150,7 +150,7 @@ def test_a_track_whose_frames_repeat_or_go_back_is_refused(throws: Path, fitted:
 def test_a_frame_that_the_track_does_not_allow_is_refused(throws: Path, fitted: Path, tmp_path: Path) -> None:
     for frame, expected in (
         ("soon", "--from-frame soon"),
-        ("2", "at least 3"),
+        ("1", "at least 3"),
         ("9999", "--from-frame 9999"),
     ):
         wanted = ("--scene", throws / "scene.toml", "--fit", fitted, "--from-frame", frame, "--out", tmp_path / "p.csv")

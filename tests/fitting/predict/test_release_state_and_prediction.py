@@ -130,6 +130,30 @@ def test_a_prediction_almost_without_noise_is_the_throw() -> None:
     assert predicted.position_m[:until] == pytest.approx(throw.poses(track.time_s[:until])[0], abs=1e-6)
 
 
+def test_two_frames_are_a_start_with_the_errors_that_the_track_states() -> None:
+    """The squared Mahalanobis distance of twelve normal numbers: 12 on average, with a variance of 24."""
+    squared, throws = [], [thrown("smooth", seed, duration_s=0.01)[1] for seed in range(20)]
+    for seed in range(400):
+        throw = throws[seed % len(throws)]
+        track = seen(throw, np.random.default_rng(1000 + seed), noise=1.0)
+        found = release_before(track, CUBE, 2)
+        assert list(found.rows) == [0, 1]
+        off = state_difference(found.state, throw.at(found.state.time_s))
+        squared.append(off @ np.linalg.solve(found.covariance, off))
+    assert np.mean(squared) == pytest.approx(12.0, abs=4.0 * np.sqrt(24.0 / len(squared)))
+
+
+def test_two_frames_behind_a_bounce_have_the_errors_of_the_flight_before() -> None:
+    track, _ = filmed(noise=1.0)
+    row = first_bounce_row(track, CUBE)
+    before, after = release_before(track, CUBE, row), release_before(track, CUBE, row + 2)
+    assert list(after.rows) == [row, row + 1]
+    assert (after.sigma_m, after.sigma_rad) == pytest.approx((before.sigma_m, before.sigma_rad))
+    # Two frames say as much of a velocity as their distance allows.
+    frame_s = track.time_s[row + 1] - track.time_s[row]
+    np.testing.assert_allclose(np.diag(after.covariance)[6:9], 2.0 * before.sigma_m**2 / frame_s**2, rtol=1e-6)
+
+
 def test_the_face_of_a_completed_throw_is_decided() -> None:
     track, throw = filmed(noise=1.0)
     parameters = {name: Parameter(value, None, None, None, False, False) for name, value in VALUES["friction"].items()}
@@ -144,10 +168,13 @@ def test_the_face_of_a_completed_throw_is_decided() -> None:
 def test_a_track_that_cannot_be_predicted_is_refused_with_the_reason() -> None:
     track, _ = filmed()
     row = first_bounce_row(track, CUBE)
-    with pytest.raises(ValueError, match="at least 3"):
-        release_before(track, CUBE, 2)
-    with pytest.raises(ValueError, match=f"before row {row + 2}"):
-        release_before(track, CUBE, row + 2)
+    with pytest.raises(ValueError, match="at least 3, or 2 whose errors the track states"):
+        release_before(track, CUBE, 1)
+    silent = replace(track, covariance=np.full((len(track), 6, 6), np.nan))
+    with pytest.raises(ValueError, match="at least 3, or 2 whose errors the track states"):
+        release_before(silent, CUBE, 2)
+    with pytest.raises(ValueError, match=f"before row {row + 1}"):
+        release_before(track, CUBE, row + 1)
     flying = replace(track, status=np.where(np.arange(len(track)) < row - 1, track.status, "lost"))
     with pytest.raises(ValueError, match="never bounces"):
         first_bounce_row(flying, CUBE)
