@@ -253,7 +253,8 @@ def _explain_better(
 ) -> bool:  # fmt: skip
     """Whether others explain the pictures and the motion on some rows better than the poses by a mean cost, on the rows that both
     have."""
-    both = rows[others.known[rows] & poses.known[rows]]
+    # In order of time, whichever way the rows were tracked: a flight is fitted to them.
+    both = np.sort(rows[others.known[rows] & poses.known[rows]])
     if not len(both):
         return False
     theirs, ours = (
