@@ -13,6 +13,7 @@ import argparse
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -81,7 +82,7 @@ def study(name: str, fades: bool, throws: int, seed: int, pool: ProcessPoolExecu
     came = np.concatenate([np.arange(len(each.odds)) == each.landed for each in made])
     print(f"\n{name}: {len(made)} of {throws} throws with a forecast")
     print("odds said                faces     mean    came   95 %")
-    for low, high in zip(ENDS, ENDS[1:], strict=False):
+    for low, high in pairwise(ENDS):
         inside = (said >= low) & (said < high)
         if inside.any():
             share = Share(int(came[inside].sum()), int(inside.sum()))
