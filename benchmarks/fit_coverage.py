@@ -24,23 +24,18 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "helpers"))
 
 from random_throws import state_difference
-from throws import random_release, roughly_measured, seen, true_throw
+from throws import DICE, random_release, roughly_measured, seen, true_throw
 
 from diethrow.fitting.estimation.observations import flight_observations, pose_errors, whitened_jacobian
 from diethrow.fitting.throw.physics import Physics, model_poses
 from diethrow.fitting.throw.throw_fit import fit_throw
-from diethrow.model.die.die import Die, make_die
+from diethrow.model.die.die import Die
 from diethrow.model.laws import LEVEL
 from diethrow.model.throw.motion import Throw
 from diethrow.tracking.track import Track
 
 Array = NDArray[np.float64]
 
-DICE = (
-    make_die("cube", 0.016, 0.0048),
-    make_die("tetrahedron", 0.022, 0.0015),
-    make_die("icosahedron", 0.0105, 0.003),
-)
 NOISES = (0.25, 1.0, 4.0)
 KINDS = ("position", "rotation", "velocity", "angular velocity")
 Z95 = 1.959964

@@ -21,21 +21,15 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "helpers"))
 
-from throws import FPS, random_release, roughly_measured, seen
+from throws import DICE, FPS, random_release, roughly_measured, seen
 
 from diethrow.fitting.throw.throw_fit import fit_throw
-from diethrow.model.die.die import make_die
 from diethrow.model.ensembles.odds import Share
 from diethrow.model.laws import RestitutionBySpeed, SmoothImpact
 from diethrow.model.throw import Throw, throw_die
 
 Array = NDArray[np.float64]
 
-DICE = (
-    make_die("cube", 0.016, 0.0048),
-    make_die("tetrahedron", 0.022, 0.0015),
-    make_die("icosahedron", 0.0105, 0.003),
-)
 MOST_BOUNCES = 3
 AFTER_FRAMES = 40
 """Most frames of the last flight that are seen."""

@@ -67,7 +67,7 @@ class Choices:
     """Where the intervals come from."""
     misfit_limit: float = 2.5
     """Largest ratio of the residuals of a trajectory to those of free flights at which it still explains the frames. Smaller
-    stops the fit at a bounce that the law describes nearly; larger takes wrong corners for such bounces."""
+    stops the fit at a bounce that the law describes nearly; larger may take wrong corners for such bounces."""
     usual_friction: float | None = 0.3
     """Friction coefficient of usual scenes. Where the frames allow any larger one, the fitted value nearest to it is reported;
     None: that of the least cost, though others cost as much."""

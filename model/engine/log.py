@@ -38,10 +38,10 @@ def with_room(rows: Array, used: int) -> Array:
 
 @inner
 def write_event(
-    row: Array, time: float, vertex: int, before: Array, after: Array, i: float, j: int, together: float
+    row: Array, time: float, vertex: int, before: Array, after: Array, i: float, j: int, struck: float
 ) -> None:
     """Write one event into a row (LOG_COLUMNS,): the states (13,) before and after, the contact (i, j) from then on, and the bits
-    of the vertices that touched together."""
+    of the vertices that struck together."""
     row[0] = time
     row[1] = vertex
     for k in range(13):
@@ -50,7 +50,7 @@ def write_event(
         row[15 + k] = after[7 + k]
     row[21] = i
     row[22] = j
-    row[23] = together
+    row[23] = struck
 
 
 @inner

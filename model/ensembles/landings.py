@@ -28,7 +28,6 @@ from ..throw import (
     ENDINGS,
     EXACT,
     IMPACT_CAP,
-    BodyKind,
     Door,
     Ending,
     Precision,
@@ -37,6 +36,7 @@ from ..throw import (
     body_of,
     is_endless,
     kernel_states,
+    needs_asymmetric_kernels,
     refuse_unsupported,
 )
 from .landing_kernels import BELOW_TABLE, land_releases
@@ -108,13 +108,12 @@ class ThrowSetup:
         starts = kernel_states(self.die, self.table, states)
         kind = body_kind(self.die)
         refuse_unsupported(Door.THROW, kind, self.packed_law)
-        # As `throw_die` does.
-        if kind is BodyKind.CENTRED or (kind is BodyKind.LOADED and self.packed_law.code != engine.SMOOTH):
-            packed = self.packed
-        else:
+        if needs_asymmetric_kernels(kind, self.packed_law):
             body, body_from_principal = asymmetric_body_of(self.die)
             starts[:, 3:7] = quat_multiply(starts[:, 3:7], body_from_principal)
             packed = engine.Setup(body, self.packed_law, self.table.plane, self.precision.packed)
+        else:
+            packed = self.packed
         land_releases(packed, starts, self.impact_cap, landed, lowest)
         endings = np.where(landed[:, 2] == BELOW_TABLE, -1, _INDEX_OF_CODE[landed[:, 2]])
         if is_endless(self.law, self.table):

@@ -17,11 +17,10 @@ from collections.abc import Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, fields
 from functools import partial
-from math import cos, sqrt
+from math import cos
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtri
 
 from .landings import ENDING_OF_INDEX, Indices, Landings, ThrowSetup, chunks_in_order
 from .releases import BLOCK, Conditions, drawn_states
@@ -102,17 +101,13 @@ class Share:
     @property
     def interval(self) -> tuple[float, float]:
         """Lower and upper bound; 0 and 1 for a total of 0. Raises ValueError for a count that is not within the total."""
-        if not 0 <= self.count <= self.of:
-            raise ValueError(f"a count of {self.count} in {self.of}: wanted 0 up to the total")
-        if self.of == 0:
+        # Imported here, because a command that only throws one die would wait 0.5 s for it.
+        from scipy.stats import binomtest
+
+        if self.of == self.count == 0:
             return 0.0, 1.0
-        # Of `scipy.special`: `scipy.stats` takes half a second to import.
-        z = float(ndtri(0.5 + self.level / 2.0))
-        widened = self.of + z * z
-        middle = (self.count + 0.5 * z * z) / widened
-        half_width = z / widened * sqrt(self.count * (self.of - self.count) / self.of + 0.25 * z * z)
-        low = 0.0 if self.count == 0 else middle - half_width
-        return low, 1.0 if self.count == self.of else middle + half_width
+        bounds = binomtest(self.count, self.of).proportion_ci(self.level, method="wilson")
+        return float(bounds.low), float(bounds.high)
 
 
 def check_releases(setup: ThrowSetup, conditions: Conditions) -> None:

@@ -35,6 +35,7 @@ from .simulate import throw_die as throw_die
 from .supported import BodyKind as BodyKind
 from .supported import Door as Door
 from .supported import body_kind as body_kind
+from .supported import needs_asymmetric_kernels as needs_asymmetric_kernels
 from .supported import refuse_unsupported as refuse_unsupported
 from .supported import support_table as support_table
 from .tangent import Propagation as Propagation

@@ -45,7 +45,7 @@ from .asymmetric_throw import throw_asymmetric_die
 from .body import body_of, checked_release, kernel_states, packed_state
 from .history import throw_from_asymmetric, throw_from_log
 from .motion import State, Throw, rotated_state
-from .supported import BodyKind, Door, body_kind, refuse_unsupported
+from .supported import BodyKind, Door, body_kind, needs_asymmetric_kernels, refuse_unsupported
 
 IMPACT_CAP = 10_000_000
 """Impacts after which any throw is stopped: more than any throw below χ = 1 on a table at rest has needed."""
@@ -179,8 +179,7 @@ def throw_die(
     cap = BOUNCING_CAP if endless else IMPACT_CAP
     kind, packed_law = body_kind(die), engine.law_of(law.code, law.parameters)
     refuse_unsupported(Door.THROW, kind, packed_law)
-    # For smooth impacts of a loaded die the kernels of asymmetric dice prove more: that it spins for ever.
-    if kind is BodyKind.ASYMMETRIC or (kind is BodyKind.LOADED and packed_law.code == engine.SMOOTH):
+    if needs_asymmetric_kernels(kind, packed_law):
         packed_state(release)  # raises for an invalid state while it is still in the axes of the caller
         return _throw_asymmetric(die, release, law, until, duration, table, precision, cap)
     start = checked_release(die, release, table)

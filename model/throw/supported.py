@@ -63,6 +63,12 @@ def body_kind(die: Die) -> BodyKind:
     return BodyKind.ASYMMETRIC if die.isotropic_inertia_kg_m2 is None else BodyKind.LOADED
 
 
+def needs_asymmetric_kernels(kind: BodyKind, law: engine.Law) -> bool:
+    """Whether the kernels of asymmetric dice follow a throw. For smooth impacts of a loaded die they prove more than those of one
+    moment of inertia: that it spins for ever."""
+    return kind is BodyKind.ASYMMETRIC or (kind is BodyKind.LOADED and law.code == engine.SMOOTH)
+
+
 def refuse_unsupported(door: Door, kind: BodyKind, law: engine.Law, has_drag: bool = False) -> None:
     """Raise ValueError, naming what is too much, for a combination that `SUPPORTED` does not hold."""
     wanted = _ACTIONS_OF_CODE[law.code] | ({Action.DRAG} if has_drag else _NOTHING)

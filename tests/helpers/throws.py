@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diethrow.model.die.die import Die
+from diethrow.model.die.die import Die, make_die
 from diethrow.model.die.solid import inner_vertices
 from diethrow.model.laws import LEVEL, ImpactLaw, SmoothImpact, Table
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
@@ -20,6 +20,12 @@ from diethrow.tracking.track import TRACKED, Track
 Array = NDArray[np.float64]
 
 FPS = 1500.0
+DICE = (
+    make_die("cube", 0.016, 0.0048),
+    make_die("tetrahedron", 0.022, 0.0015),
+    make_die("icosahedron", 0.0105, 0.003),
+)
+"""Of the studies over many throws, taken in turn."""
 
 
 def random_release(die: Die, rng: np.random.Generator, *, spin_rad_s: float = 30.0) -> State:

@@ -29,7 +29,7 @@ def test_every_frame_of_a_long_flight_is_drawn_as_often_but_for_its_ends():
     rng = np.random.default_rng(6)
     counts = np.bincount(np.concatenate([block_rows(flight, length, rng) for _ in range(4000)]), minlength=50)
     inner = counts[length:-length] / counts[length:-length].mean()
-    # 4000 draws of 50 frames: 4300 a frame, in blocks, 2.5 % at the most (three of their sigmas).
+    # 4300 of each: one standard deviation is 1.5 %.
     np.testing.assert_allclose(inner, 1.0, atol=0.08)
     np.testing.assert_allclose(
         counts[:length] / counts[length:-length].mean(), np.arange(1, length + 1) / length, atol=0.08

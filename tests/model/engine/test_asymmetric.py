@@ -370,7 +370,7 @@ TOPS = {
 
 
 def spun_on_its_lowest_vertex(die, up: np.ndarray, tilt_rad: float, spin_rad_s: float) -> State:
-    """A release just above the table, turned so that a body axis `up` (3,) leans by an angle, with a spin about it."""
+    """A release just above the table, turned so that a body axis `up` (3,) is tilted by an angle, with a spin about it."""
     axis = np.cross(up, [0.0, 0.0, 1.0])
     angle = np.arccos(up[2] / np.linalg.norm(up))
     upright = quat_from_rotvec(angle * axis / max(np.linalg.norm(axis), 1e-300))
