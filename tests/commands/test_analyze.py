@@ -169,7 +169,7 @@ def test_with_a_quarter_of_gravity_the_same_pictures_take_twice_the_time(folder:
     assert np.array_equal(usual.status, slow.status)
     np.testing.assert_allclose(slow.time_s, 2.0 * usual.time_s)
     both = usual.tracked
-    # Errors along the line of sight are 25 times as large. Where rounding ends refinements depends on the processor: 1.1e-6 on one.
+    # Errors along the line of sight are 25 times as large. Where rounding ends refinements depends on the processor.
     assert np.linalg.norm(slow.position_m - usual.position_m, axis=1)[both].max() < 3e-6
     assert angle_between(slow.quaternion[both], usual.quaternion[both]).max() < 1e-4
     for name in ("out", "fitted"):

@@ -74,7 +74,7 @@ def test_a_clip_with_a_display_curve_is_as_accurate_as_the_linear_one_and_kept_a
     decimation = Decimation(shrink=shrink)
     linear = track_scene(linear_scene(), quality=FAST, decimation=decimation)
     tracking = track_scene(curved_scene, quality=FAST, decimation=decimation)
-    # In pictures of half the size other errors are larger: on one processor 0.31 mm, with the curve 0.54, and 0.52 if it is ignored.
+    # At half the size other errors are larger: on one processor 0.31 mm, with the curve 0.54, and 0.52 where it is ignored.
     assert median_depth_m(curved_scene, tracking) < (1.5, 2.0)[shrink - 1] * median_depth_m(linear_scene(), linear)
     (clip,), (before,) = tracking.clips, linear.clips
     assert clip.bit_depth == 8
