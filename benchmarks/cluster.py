@@ -19,6 +19,7 @@ from distributed import LocalCluster
 
 from diethrow.commands.model.face_odds import OddsPlan, odds
 from diethrow.executors import cluster_at
+from diethrow.model.die import make_die
 
 
 def main() -> None:
@@ -28,9 +29,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--repeats", type=int, default=1)
     options = parser.parse_args()
-    plan = OddsPlan(
-        shape="cube", edge_m=0.02, mass_kg=0.016, chi=(0.5,), omega_rad_s=40.0, throws=options.throws, after=0
-    )
+    plan = OddsPlan(die=make_die("cube", 0.02, 0.016), chi=(0.5,), omega_rad_s=40.0, throws=options.throws, after=0)
     print(f"load before: {os.getloadavg()[0]:.2f} on {os.cpu_count()} cores", flush=True)
     with (
         tempfile.TemporaryDirectory() as temporary,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..model.throw import EVEN, Turning
 from ..model.world import GRAVITY_M_S2
 
 Array = NDArray[np.float64]
@@ -75,6 +76,8 @@ class Track:
     exact."""
     gravity_m_s2: float = GRAVITY_M_S2
     """Of the place where the die was filmed, along -z. In no file: the scene says it."""
+    turning: Turning = EVEN
+    """How the die turns in flight. In no file: it follows from the die."""
 
     @property
     def tracked(self) -> NDArray[np.bool_]:

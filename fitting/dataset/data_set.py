@@ -80,8 +80,8 @@ class DataSet:
 
     @property
     def arm_m(self) -> float:
-        """The radius of gyration, which converts rotations to lengths."""
-        return float(np.sqrt(self.die.inertia_kg_m2 / self.die.mass_kg))
+        """The radius of gyration, which converts rotations to lengths: of the mean moment."""
+        return float(np.sqrt(np.trace(self.die.tensor_kg_m2) / (3.0 * self.die.mass_kg)))
 
     def residuals(self, physics: Physics, perturbations: Sequence[Array] | None = None) -> list[Array]:
         """(n, 6) [m] of every throw: observed minus simulated, from the release states or, with `perturbations` (12,) of

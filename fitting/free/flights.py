@@ -11,7 +11,7 @@ values, measure the actual errors of single frames, and set the residuals that a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,23 +137,26 @@ def fit_flight(observations: FlightObservations, guess: Flight) -> FreeFlight | 
     if n < MIN_FRAMES:
         return None
     k2 = HUBER_THRESHOLD
-    state, residuals, jacobian = _nearest(observations, _start(observations, guess), k2, guess.gravity_m_s2)
+    state, residuals, jacobian = _nearest(observations, _start(observations, guess), k2, guess)
     freedom = 6.0 * (n - 2)
     if freedom and robust_variance(residuals, freedom) > _BAD_START:
-        again = _nearest(observations, _start_from_frames(observations, guess, state.time_s), k2, guess.gravity_m_s2)
+        again = _nearest(observations, _start_from_frames(observations, guess, state.time_s), k2, guess)
         if robust_variance(again[1], freedom) < robust_variance(residuals, freedom):
             state, residuals, jacobian = again
     if freedom and (variance := robust_variance(residuals, freedom)) > _UNDERSTATED:
         # Frames whose covariances are too small would all look bad: the threshold follows their actual scatter.
-        state, residuals, jacobian = _nearest(observations, state, k2 * variance, guess.gravity_m_s2)
+        state, residuals, jacobian = _nearest(observations, state, k2 * variance, guess)
     variance = robust_variance(residuals, freedom) if freedom else np.nan
-    flight = Flight(state, guess.end_s, covariance_of(jacobian), guess.gravity_m_s2)
+    flight = replace(_flight(guess, state), end_s=guess.end_s, covariance=covariance_of(jacobian))
     return FreeFlight(flight, n, variance)
 
 
-def _nearest(
-    observations: FlightObservations, start: State, k2: float, gravity_m_s2: float
-) -> tuple[State, Array, Array]:
+def _flight(guess: Flight, state: State) -> Flight:
+    """The flight of the same die in the same place, from a state on."""
+    return Flight(state, state.time_s, gravity_m_s2=guess.gravity_m_s2, turning=guess.turning)
+
+
+def _nearest(observations: FlightObservations, start: State, k2: float, guess: Flight) -> tuple[State, Array, Array]:
     """The state of least squares, its whitened residuals (n, 6) and their derivative (n, 6, 12)."""
     span = max(float(np.ptp(observations.time_s)), 1e-9)
     step_m, step_rad = _STEPS
@@ -161,7 +164,7 @@ def _nearest(
 
     def evaluate(x: Array) -> tuple[Array, Array]:
         state = perturbed(start, x)
-        flight = Flight(state, state.time_s, gravity_m_s2=gravity_m_s2)
+        flight = _flight(guess, state)
         errors = pose_errors(observations, *flight.poses(observations.time_s))
         jacobian = pose_jacobian(flight, observations.time_s)
         # The unknown rotation is about the orientation of `start`, the derivative about the displaced one.
@@ -173,7 +176,7 @@ def _nearest(
 
     free = np.full(12, np.inf)
     state = perturbed(start, levenberg_marquardt(evaluate, np.diag(1.0 / scale), -free, free, max_steps=30))
-    flight = Flight(state, state.time_s, gravity_m_s2=gravity_m_s2)
+    flight = _flight(guess, state)
     errors = pose_errors(observations, *flight.poses(observations.time_s))
     jacobian = whitened_jacobian(observations, errors, pose_jacobian(flight, observations.time_s))
     return state, whitened(observations, errors), jacobian
@@ -194,7 +197,7 @@ def _start_from_frames(observations: FlightObservations, guess: Flight, time_s: 
     velocity = (p[-1] - p[0]) / dt + np.array([0.0, 0.0, 0.5 * guess.gravity_m_s2 * dt])
     turns = rotation_between(q[:-1], q[1:]) / np.diff(t)[:, None]
     first = State(float(t[0]), p[0], q[0], velocity, np.median(turns, axis=0))
-    falling = Flight(first, first.time_s, gravity_m_s2=guess.gravity_m_s2)
+    falling = _flight(guess, first)
     return falling.at(time_s) if np.isfinite(time_s) else first
 
 

@@ -31,7 +31,7 @@ from scipy.special import chdtri, stdtrit
 
 from ...model.die import Die
 from ...model.rotations import matrix_from_quat
-from ...model.throw import Flight, Impact, State, energy_J
+from ...model.throw import Flight, Impact, State, energy_J, touching_vertices
 from ...tracking.flights import perturbed, transition_matrix
 from ..estimation import normal_quantile
 from .flights import FreeFlights
@@ -232,8 +232,7 @@ def _scaled(flight: Flight, variance: float) -> Flight:
 
 def contact_arm(die: Die, rotation: Array, vertex: int) -> Array:
     """From the centre to the contact point (3,) [m], world axes, for a vertex turned to the table."""
-    inset = 1.0 - die.corner_radius_m / die.solid.inradius
-    return np.asarray(rotation @ die.solid.vertices[vertex] * inset - np.array([0.0, 0.0, die.corner_radius_m]))
+    return np.asarray(rotation @ touching_vertices(die)[vertex] - np.array([0.0, 0.0, die.corner_radius_m]))
 
 
 def normal_velocity(state: State, arm: Array) -> float:
@@ -274,16 +273,15 @@ def _impact_numbers(die: Die, before: Flight, after: Flight, time_s: float, vert
     # Either orientation is an estimate of the same one: each velocity is taken with the arm of its own flight.
     arm_after = contact_arm(die, matrix_from_quat(later.quaternion), vertex)
     dv, dw = later.velocity_m_s - state.velocity_m_s, later.omega_rad_s - state.omega_rad_s
-    lever = die.mass_kg / die.inertia_kg_m2 * float(dv[2])
+    lever = np.cross(arm, [0.0, 0.0, die.mass_kg * float(dv[2])])
+    pushed = state.rotation @ np.linalg.solve(die.tensor_kg_m2, state.rotation.T @ lever)
     return np.array(
         [
             normal_velocity(state, arm),
             normal_velocity(later, arm_after),
             dv[0],
             dv[1],
-            dw[0] - lever * arm[1],
-            dw[1] + lever * arm[0],
-            dw[2],
+            *(dw - pushed),
             dv[2],
             energy_J(die, state, before.gravity_m_s2)
             - energy_J(die, replace(later, position_m=state.position_m), before.gravity_m_s2),

@@ -29,6 +29,7 @@ from ...model.throw import (
     Until,
     kernel_states,
     packed_state,
+    touching_vertices,
     world_poses,
 )
 from ...tracking.covariance import covariance_root
@@ -40,7 +41,6 @@ from ..throw import COARSE, INTERVAL_LEVEL, Physics, in_true_units, kernel_body,
 from .release_state import (
     MIN_FLIGHT_FRAMES,
     ReleaseState,
-    corners,
     flight_length,
     release_before,
     release_from,
@@ -169,7 +169,7 @@ def _kernel_poses(
 def lifted(physics: Physics, state: State) -> State:
     """The state with no corner below the table."""
     up = matrix_from_quat(physics.plane.world_from_table)[:, 2]
-    height = corners(physics.body) @ matrix_from_quat(state.quaternion).T @ up
+    height = touching_vertices(physics.body) @ matrix_from_quat(state.quaternion).T @ up
     of_table = engine.table_height(physics.plane.plane, state.time_s)
     lowest = float(height.min() + up @ state.position_m - physics.body.corner_radius_m - of_table)
     return state if lowest >= 0.0 else replace(state, position_m=state.position_m - lowest * up)

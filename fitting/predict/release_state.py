@@ -17,14 +17,14 @@ track states.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die
 from ...model.rotations import matrix_from_quat, rotation_between
-from ...model.throw import Flight, State, touching_vertices
+from ...model.throw import Flight, State, Turning, touching_vertices
 from ...tracking.flights import perturbed, pose_jacobian
 from ...tracking.track import Track
 from ..estimation import covariance_of
@@ -112,6 +112,8 @@ class ReleaseState:
     axes."""
     gravity_m_s2: float
     """Of the track."""
+    turning: Turning
+    """Of the track: how the die turns in flight."""
     centre_of_mass_m: Array | None = None
     """(3,) from the centroid, body axes; None where it is the centroid."""
 
@@ -158,17 +160,12 @@ class ReleaseState:
 
     def poses(self, times_s: Array) -> tuple[Array, Array]:
         """Positions (n, 3) and quaternions (n, 4) of the centroid from the first row to the last."""
-        flight = Flight(self.centre_state, self.fair_state.time_s, gravity_m_s2=self.gravity_m_s2)
+        end_s = self.fair_state.time_s
+        flight = Flight(self.centre_state, end_s, gravity_m_s2=self.gravity_m_s2, turning=self.turning)
         positions, quaternions = flight.poses(times_s)
         if self.centre_of_mass_m is not None:
             positions = positions - matrix_from_quat(quaternions) @ self.centre_of_mass_m
         return positions, quaternions
-
-
-@lru_cache(maxsize=64)
-def corners(die: Die) -> Array:
-    """`touching_vertices` of a die, cached."""
-    return touching_vertices(die)
 
 
 def usable_rows(track: Track, die: Die) -> Indices:
@@ -182,7 +179,7 @@ def usable_rows(track: Track, die: Die) -> Indices:
     if len(back):
         at = track.time_s[rows[back[0] + 1]]
         raise ValueError(f"t_s = {at:g} does not rise; wanted times in order: sort the track, or cut it there")
-    turned = matrix_from_quat(track.quaternion[rows])[:, 2] @ corners(die).T
+    turned = matrix_from_quat(track.quaternion[rows])[:, 2] @ touching_vertices(die).T
     lowest = turned.min(axis=1, initial=np.inf) + track.position_m[rows, 2] - die.corner_radius_m
     return rows[lowest > -_MAX_DEPTH * die.solid.inradius]
 
@@ -258,8 +255,8 @@ def _from_two_frames(track: Track, rows: Indices, covariances: Array) -> Release
 def _release(track: Track, rows: Indices, state: State, covariance: Array, sigmas: tuple[float, float]) -> ReleaseState:
     (sigma_m, sigma_rad), times = sigmas, track.time_s[rows]
     return ReleaseState(
-        rows, state, covariance, sigma_m, sigma_rad, float(times[0]), _derivative_by_offset(state, times),
-        track.gravity_m_s2,
+        rows, state, covariance, sigma_m, sigma_rad, float(times[0]), _derivative_by_offset(track, state, times),
+        track.gravity_m_s2, track.turning,
     )  # fmt: skip
 
 
@@ -332,7 +329,7 @@ class _Motion:
     def lowest_m(self, die: Die, time_s: float) -> float:
         """Height of the lowest corner that it predicts."""
         predicted = self.flight.at(time_s)
-        heights = corners(die) @ matrix_from_quat(predicted.quaternion)[2]
+        heights = touching_vertices(die) @ matrix_from_quat(predicted.quaternion)[2]
         return float(heights.min() + predicted.position_m[2] - die.corner_radius_m)
 
 
@@ -373,7 +370,7 @@ def _nearest(track: Track, rows: Indices, guess: Flight | None = None) -> tuple[
 
 def _flight(track: Track, state: State) -> Flight:
     """The flight of a die that falls as in a track, from a state on."""
-    return Flight(state, state.time_s, gravity_m_s2=track.gravity_m_s2)
+    return Flight(state, state.time_s, gravity_m_s2=track.gravity_m_s2, turning=track.turning)
 
 
 def _errors(flight: Flight, times: Array, positions: Array, quaternions: Array) -> tuple[Array, Array]:
@@ -382,10 +379,10 @@ def _errors(flight: Flight, times: Array, positions: Array, quaternions: Array) 
     return np.hstack([positions - flown, rotation_between(turned, quaternions)]), pose_jacobian(flight, times)
 
 
-def _derivative_by_offset(state: State, times: Array) -> Array:
+def _derivative_by_offset(track: Track, state: State, times: Array) -> Array:
     """`ReleaseState.offset_derivative`: the straight line nearest to R(t), by which the centre of mass differs from a centroid
     that falls freely."""
     dt = times - state.time_s
-    rotations = matrix_from_quat(Flight(state, state.time_s).poses(times)[1])
+    rotations = matrix_from_quat(_flight(track, state).poses(times)[1])
     line = np.linalg.pinv(np.stack([np.ones_like(dt), dt], 1))
     return np.asarray(np.einsum("an,nij->aij", line, rotations), dtype=np.float64)

@@ -38,7 +38,21 @@ from ...model.laws import (
     SmoothImpact,
     Table,
 )
-from ...model.throw import Propagation, State, ThrowResult, Until, body_of, checked_release, propagate, throw_die
+from ...model.throw import (
+    SUPPORTED,
+    Action,
+    BodyKind,
+    Door,
+    Propagation,
+    State,
+    ThrowResult,
+    Until,
+    body_kind,
+    body_of,
+    checked_release,
+    propagate,
+    throw_die,
+)
 from ...tracking.track import Track
 from ..free import CENTRE_OF_MASS, TABLE_MOTION
 from ..results import MOST_FRICTION
@@ -59,9 +73,16 @@ EFFECTS: dict[str, tuple[str, ...]] = {
 }
 """The parameters of every effect that a fit may free."""
 
-INCOMPATIBLE_EFFECTS = {"loaded die": frozenset({"friction", "fading restitution", "air drag", "oscillating table"})}
-"""Effects that no fit of one throw combines: `model.throw` has derivatives for a displaced centre of mass only for
-smooth impacts without air. Joint fits need no derivatives and combine it with friction."""
+ACTIONS = {
+    "friction": Action.FRICTION,
+    "fading restitution": Action.RESTITUTION_BY_SPEED,
+    "air drag": Action.DRAG,
+}
+"""What an effect has act on the die. A fit of one throw combines what `model.throw.supported` has derivatives of; joint fits
+need none and combine more."""
+
+_OF_ONE_MOMENT = frozenset({"inertia", "loaded die"})
+"""Effects on dice with one moment of inertia only."""
 
 RESTITUTIONS: tuple[Restitution, ...] = ("stronge", "newton", "poisson")
 """Definitions of restitution, in the order of preference."""
@@ -194,11 +215,16 @@ class Physics:
         )
 
     def is_compatible_with(self, effect: str) -> bool:
-        """Whether an effect can be combined with those in use."""
-        return not any(
-            (effect in others and alone in self.effects) or (effect == alone and others.intersection(self.effects))
-            for alone, others in INCOMPATIBLE_EFFECTS.items()
-        )
+        """Whether an effect can be combined with those in use, and with the die."""
+        effects, kind = {*self.effects, effect}, body_kind(self.die)
+        if kind is BodyKind.ASYMMETRIC and effects & _OF_ONE_MOMENT:
+            return False
+        if "loaded die" in effects:
+            # On a table that oscillates, centre of mass and motion of the table explain the same bounces.
+            if "oscillating table" in effects:
+                return False
+            kind = BodyKind.LOADED
+        return {ACTIONS[name] for name in effects if name in ACTIONS} <= SUPPORTED[Door.DERIVATIVES][kind]
 
     def calibration_limit(self, name: str) -> float:
         """Departure of a parameter that the calibration leaves open."""
@@ -360,12 +386,30 @@ class Physics:
         )
         return Run(log[:, 1].astype(int), int(face) + 1 if face >= 0 else None)
 
+    @property
+    def comes_to_rest(self) -> bool:
+        """Whether the model follows throws of this die with these effects to their rest, and not only from bounce to bounce."""
+        kind = body_kind(self.body)
+        return {ACTIONS[name] for name in self.effects if name in ACTIONS} - {Action.DRAG} <= SUPPORTED[Door.THROW][
+            kind
+        ]
+
     def _run_asymmetric(self, start: State, end_s: float, impacts: int) -> Run:
-        """The same for a loaded die."""
+        """The same for a loaded die, or one with several moments of inertia."""
+        if not self.comes_to_rest:
+            return self._run_bounces(start, end_s)
         until = Until() if end_s == np.inf else Until(time_s=end_s, impacts=impacts)
         result = self.throw(start, until)
         vertices_hit = [impact.vertices[0] if impact.vertices else -1 for impact in result.throw.impacts]
         return Run(np.array(vertices_hit, int), result.landed_face)
+
+    def _run_bounces(self, start: State, end_s: float) -> Run:
+        """The same until an instant, from bounce to bounce; no impact at all where they follow each other without end before."""
+        try:
+            found = propagate(self.body, start, self.law, [end_s], table=self.plane, parameters=()).throw.impacts
+        except ValueError:
+            found = ()
+        return Run(np.array([impact.vertices[0] for impact in found], int), None)
 
     def _packed(self, start: State) -> Array | None:
         """A start as the event loop takes it (13,); None where a vertex lies below the table."""

@@ -7,13 +7,15 @@ number says how its mass is spread, and it turns at a constant rate in flight. A
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .mass_distribution import mass_distribution
-from .solid import Array, Solid, check_positive, inner_vertices, isohedral_solid
+from .solid import Array, Solid, check_positive, inner_vertices, isohedral_solid, numbered_solid
 
 MAX_CORNER_RADIUS_FRACTION = 0.95
 """Largest corner radius as a fraction of the inscribed radius. A rounder die is a ball, which never comes to rest."""
@@ -29,6 +31,10 @@ rounding of the volume integral."""
 CENTRED_TOLERANCE = 1e-12
 """Distance of the centroid of a rounded body from that of the sharp one, in circumradii, at which it counts as the same:
 rounding."""
+
+NEARLY_CENTRED = 5e-3
+"""Distance of the centre of mass from the centroid, in circumradii, at which poses of the centroid still show a flight and an
+impact as those of the centre of mass would: some 50 micrometres on a die, about what its edges err by."""
 
 TENSOR_TOLERANCE = 1e-9
 """Relative asymmetry, and relative violation of the triangle inequality, of a tensor that a user wrote with ten digits."""
@@ -85,9 +91,20 @@ class Die:
         Raises ValueError for a radius that leaves no solid (`inner_vertices`)."""
         if self.is_homogeneous:
             return die_from_solid(self.solid, self.mass_kg, corner_radius_m=corner_radius_m, marks=self.marks)
-        moment = self.inertia_kg_m2 if self.is_spherical_top else np.nan
-        tensor, centre = self.inertia_tensor_kg_m2, self.centre_of_mass_m
-        return Die(self.solid, self.mass_kg, moment, corner_radius_m, self.marks, tensor, centre)
+        return self._changed(corner_radius_m=corner_radius_m)
+
+    def with_marks(self, marks: str | None) -> Die:
+        """The same die with other marks on its faces."""
+        return self._changed(marks=marks)
+
+    def with_numbers(self, numbers: Sequence[int]) -> Die:
+        """The same die with its faces reordered by the numbers that they carry, as `numbered_solid`."""
+        return self._changed(solid=numbered_solid(self.solid, numbers))
+
+    def _changed(self, **changes: Any) -> Die:
+        """`dataclasses.replace`, which does not find the moment of inertia of a die that has several."""
+        given = {part.name: vars(self).get(part.name, np.nan) for part in fields(self)}
+        return Die(**{**given, **changes})
 
     @property
     def is_spherical_top(self) -> bool:
@@ -100,6 +117,13 @@ class Die:
         if self.inertia_tensor_kg_m2 is None:
             return self.inertia_kg_m2
         return _isotropic_moment(self.inertia_tensor_kg_m2)
+
+    @property
+    def is_nearly_centred(self) -> bool:
+        """Whether the centroid moves as the centre of mass does, to NEARLY_CENTRED: a body without symmetry whose corners are
+        rounded has it a little beside."""
+        offset_m = float(np.linalg.norm(self.centre_of_mass_offset_m))
+        return offset_m <= NEARLY_CENTRED * self.solid.circumradius
 
     @property
     def centre_of_mass_offset_m(self) -> Array:

@@ -1,8 +1,7 @@
 """Convex polyhedra: vertices, faces, edges, and the inner polyhedron of a body with rounded corners.
 
 The five isohedral dice are spherical tops if they are homogeneous (Kapitaniak et al., Chaos 22, 047504, 2012): their inertia
-tensor is a multiple of the identity (`mass_distribution`). Any other convex solid can be a die as well, the paper's truncated
-dipyramids among them.
+tensor is a multiple of the identity (`mass_distribution`). Any other convex solid can be a die as well (`named_solids`).
 
 The body frame has its origin at the centroid. Face k carries the number k + 1. On the cube opposite faces add up to
 seven, and 1, 2, 3 turn counter-clockwise round their common corner (the Western, right-handed die).
@@ -10,21 +9,20 @@ seven, and 1, 2, 3 turn counter-clockwise round their common corner (the Western
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
 
 Array = NDArray[np.float64]
 
 SHAPES = ("tetrahedron", "cube", "octahedron", "dodecahedron", "icosahedron")
-
-MIN_CUT = 1e-6
-"""Least part of a tip that may be cut off, or left. With less, rounding cannot separate a face from a vertex, or the solid
-from a disc."""
 
 MERGE_TOLERANCE = 1e-9
 """1 - cos of the angle between two facets, and distance of a vertex from a plane in sizes of the solid, within which facets
@@ -33,8 +31,18 @@ of the hull are one face."""
 FLATNESS_TOLERANCE = 1e-9
 """Least ratio of the smallest to the largest extent of a set of points that spans a volume."""
 
-CORNER_TOLERANCE = 1e-9
-"""Distance, in circumradii, within which the moved planes of a corner still meet in one point."""
+CORNER_TOLERANCE = 1e-6
+"""Distance, in circumradii, within which the moved planes of a corner still meet in one point: rounding of a mesh in single
+precision. It is a hundredth of a micrometre on a die."""
+
+FLAT_RAD = 2e-3
+"""Angle [rad] between neighbouring facets of points in single precision, below which they are one face: slivers err by that."""
+
+FLAT_SHARE = 1e-5
+"""Distance of a corner of such a face from its plane, in sizes of the solid: rounding at a distance of ten sizes."""
+
+EQUAL_EDGES = 1e-9
+"""Range of the lengths of edges, as a share of one, within which they count as equal: rounding."""
 
 INSPHERE_TOLERANCE = 1e-12
 """Range of face distances, in inscribed radii, within which all faces touch one sphere about the centroid: rounding."""
@@ -57,6 +65,8 @@ class Solid:
     """(e, 2) vertex indices."""
     edge_faces: NDArray[np.int64]
     """(e, 2) the two faces that meet in each edge. The first has the edge in the order written, the second reversed."""
+    dimensions: Mapping[str, Any] = field(default_factory=dict)
+    """What `named_solid` was called with beside the name, in SI units; empty for a solid that was made otherwise."""
 
     @property
     def circumradius(self) -> float:
@@ -65,45 +75,24 @@ class Solid:
 
     @property
     def edge_m(self) -> float:
-        """[m] length of the first edge, which on the five isohedral dice is that of every edge."""
-        return float(np.linalg.norm(np.subtract(*self.vertices[self.edges[0]])))
+        """[m] length of every edge, or the mean length where edges differ."""
+        lengths = np.linalg.norm(self.vertices[self.edges[:, 0]] - self.vertices[self.edges[:, 1]], axis=1)
+        return float(lengths[0] if np.ptp(lengths) <= EQUAL_EDGES * lengths[0] else lengths.mean())
+
+    @property
+    def volume_m3(self) -> float:
+        """[m³], as the sum of the tetrahedra from the centroid to triangles of the faces."""
+        volume = 0.0
+        for face in self.faces:
+            corners = self.vertices[list(face)]
+            for j in range(1, len(face) - 1):
+                volume += float(corners[0] @ np.cross(corners[j], corners[j + 1])) / 6.0
+        return volume
 
     @property
     def inradius(self) -> float:
         """[m] least distance of a face plane from the centroid."""
         return float(self.offsets.min())
-
-
-def truncated_dipyramid(sides: int, radius_m: float, half_height_m: float, cut: float) -> Solid:
-    """A dipyramid over a regular polygon with both tips cut off (the paper's Fig. 2): 2n congruent side faces.
-
-    `sides` is n, the number of corners of the polygon in the plane z = 0, and `radius_m` its circumscribed radius. The tips of
-    the uncut dipyramid stand at z = ±`half_height_m`. `cut` in [0, 1) is the part of each tip's height that the planes
-    z = ±(1 - cut) half_height_m remove, 0 for the plain dipyramid. Faces 1 to n are the upper side faces, counter-clockwise
-    seen from above and beginning at the x axis; n + 1 to 2n are the lower ones below them. If the tips are cut, 2n + 1 is the
-    upper and 2n + 2 the lower cut. Raises ValueError for fewer than three sides, a length that is not above 0, or another cut.
-    """
-    if sides < 3:
-        raise ValueError(f"sides = {sides}: wanted a polygon of three sides or more")
-    check_positive("radius_m", radius_m)
-    check_positive("half_height_m", half_height_m)
-    if cut != 0.0 and not MIN_CUT <= cut <= 1.0 - MIN_CUT:
-        raise ValueError(f"cut = {cut}: wanted 0, or a part of the tip's height from {MIN_CUT:g} to 1 - {MIN_CUT:g}")
-    angles = 2.0 * np.pi * np.arange(sides) / sides
-    ring = radius_m * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(sides)])
-    height = (1.0 - cut) * half_height_m
-    if cut == 0.0:
-        ends = np.array([[0.0, 0.0, height], [0.0, 0.0, -height]])
-    else:
-        ends = np.vstack([ring * cut + [0.0, 0.0, height], ring * cut - [0.0, 0.0, height]])
-    hull = convex_solid(np.vstack([ring, ends]), f"dipyramid-{2 * sides}" + (f"-cut-{cut:g}" if cut else ""))
-    middle = 2.0 * np.pi * (np.arange(sides) + 0.5) / sides
-    apothem = radius_m * np.cos(np.pi / sides)
-    outward = np.column_stack([half_height_m * np.cos(middle), half_height_m * np.sin(middle), np.full(sides, apothem)])
-    wanted = [*outward, *(outward * [1.0, 1.0, -1.0])]
-    if cut:
-        wanted += [np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])]
-    return _renumbered(hull, [int(np.argmax(hull.normals @ n)) for n in wanted])
 
 
 def inner_vertices(solid: Solid, radius_m: float) -> Array:
@@ -144,8 +133,9 @@ def isohedral_solid(shape: str, edge_m: float) -> Solid:
         raise ValueError(f"shape = {shape!r}: wanted one of {', '.join(SHAPES)}")
     unit = _unit_solid(shape)
     return Solid(
-        unit.name, unit.vertices * edge_m, unit.faces, unit.normals, unit.offsets * edge_m, unit.edges, unit.edge_faces
-    )
+        unit.name, unit.vertices * edge_m, unit.faces, unit.normals, unit.offsets * edge_m, unit.edges, unit.edge_faces,
+        {"edge_m": edge_m},
+    )  # fmt: skip
 
 
 def convex_solid(points: ArrayLike, name: str = "polyhedron") -> Solid:
@@ -153,20 +143,79 @@ def convex_solid(points: ArrayLike, name: str = "polyhedron") -> Solid:
 
     Raises ValueError for points that do not span a volume.
     """
+    points = _spanning(np.asarray(points, float))
+    hull = ConvexHull(points)
+    kept = np.sort(hull.vertices)
+    vertices = points[kept]
+    vertices = vertices - _centroid(vertices, _merged_faces(vertices)[0])
+    return _with_faces(name, vertices, *_merged_faces(vertices))
+
+
+def solid_of_rounded_points(points: ArrayLike, name: str) -> Solid:
+    """As `convex_solid`, for points (n, 3) [m] in single precision, of which those of one face lie in one plane within their
+    rounding only.
+
+    Facets of the hull that meet at less than FLAT_RAD are one face; it is bounded by its edges to others. A point that is no
+    corner of three faces is left out. Raises ValueError as `convex_solid` does, and for a face that is not flat.
+    """
     points = np.asarray(points, float)
+    hull = ConvexHull(_spanning(points))
+    normals = hull.equations[:, :3]
+    flat = [(k, n) for k, row in enumerate(hull.neighbors) for n in row if normals[k] @ normals[n] > np.cos(FLAT_RAD)]
+    links = coo_array((np.ones(len(flat)), np.array(flat, int).reshape(-1, 2).T), shape=(len(normals), len(normals)))
+    count, face_of = connected_components(links, directed=False)
+    loops = [_loop(points, hull.simplices[face_of == k], normals[face_of == k]) for k in range(count)]
+    meeting = np.bincount(np.concatenate(loops), minlength=len(points))
+    kept = np.flatnonzero(meeting >= 3)
+    number = {int(v): k for k, v in enumerate(kept)}
+    faces = tuple(tuple(number[v] for v in loop if v in number) for loop in loops)
+    vertices = points[kept] - _centroid(points[kept], faces)
+    planes = [_plane(vertices[list(face)]) for face in faces]
+    size = float(np.ptp(vertices, axis=0).max())
+    if any(off > FLAT_SHARE * size for _, off in planes):
+        raise ValueError(f"{name}: a face is bent; wanted flat faces")
+    return _with_faces(name, vertices, faces, np.array([normal for normal, _ in planes]))
+
+
+def _with_faces(name: str, vertices: Array, faces: tuple[tuple[int, ...], ...], normals: Array) -> Solid:
+    offsets = np.array([float((vertices[list(f)] @ n).mean()) for f, n in zip(faces, normals, strict=True)])
+    edges, edge_faces = _edges(faces)
+    return Solid(name, vertices, faces, normals, offsets, edges, edge_faces)
+
+
+def _spanning(points: Array) -> Array:
+    """The points. Raises ValueError unless they span a volume."""
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 4 or not np.isfinite(points).all():
         raise ValueError(f"vertices of shape {points.shape}: wanted at least four finite points (n, 3)")
     spread = np.linalg.svd(points - points.mean(0), compute_uv=False)
     if spread[2] < FLATNESS_TOLERANCE * spread[0]:
         raise ValueError("vertices lie in one plane: wanted points that span a volume")
-    hull = ConvexHull(points)
-    kept = np.sort(hull.vertices)
-    vertices = points[kept]
-    vertices = vertices - _centroid(vertices, _merged_faces(vertices)[0])
-    faces, normals = _merged_faces(vertices)
-    offsets = np.array([float((vertices[list(f)] @ n).mean()) for f, n in zip(faces, normals, strict=True)])
-    edges, edge_faces = _edges(faces)
-    return Solid(name, vertices, faces, normals, offsets, edges, edge_faces)
+    return points
+
+
+def _loop(points: Array, triangles: NDArray[np.int64], normals: Array) -> list[int]:
+    """The outline of a face that consists of triangles (n, 3), counter-clockwise from outside."""
+    outer: set[tuple[int, int]] = set()
+    for (a, b, c), normal in zip(triangles.tolist(), normals, strict=True):
+        if np.cross(points[b] - points[a], points[c] - points[a]) @ normal < 0.0:
+            b, c = c, b
+        for u, v in ((a, b), (b, c), (c, a)):
+            # An edge between two triangles of the face runs both ways.
+            outer ^= {(v, u)} if (v, u) in outer else {(u, v)}
+    follows = dict(outer)
+    loop = [next(iter(follows))]
+    while follows[loop[-1]] != loop[0]:
+        loop.append(follows[loop[-1]])
+    return loop
+
+
+def _plane(corners: Array) -> tuple[Array, float]:
+    """The outward normal (3,) of the plane nearest to corners (n, 3) about the centroid of their solid, and the largest distance
+    of a corner from it."""
+    middle = corners.mean(0)
+    normal = np.linalg.svd(corners - middle)[2][2]
+    normal = normal if normal @ middle > 0.0 else -normal
+    return normal, float(np.abs((corners - middle) @ normal).max())
 
 
 def numbered_solid(solid: Solid, numbers: Sequence[int]) -> Solid:
@@ -177,7 +226,7 @@ def numbered_solid(solid: Solid, numbers: Sequence[int]) -> Solid:
     """
     if sorted(numbers) != list(range(1, len(solid.faces) + 1)):
         raise ValueError(f"numbers = {list(numbers)} for a {solid.name}: wanted each of 1 to {len(solid.faces)} once")
-    return _renumbered(solid, [int(k) for k in np.argsort(numbers)])
+    return renumbered(solid, [int(k) for k in np.argsort(numbers)])
 
 
 def lowest_face(solid: Solid, rotation: ArrayLike) -> int:
@@ -191,11 +240,13 @@ def check_positive(name: str, value: float) -> None:
         raise ValueError(f"{name} = {value}: wanted a finite number above 0")
 
 
-def _renumbered(solid: Solid, order: list[int]) -> Solid:
+def renumbered(solid: Solid, order: list[int]) -> Solid:
     """The same solid with its faces in the given order."""
     faces = tuple(solid.faces[k] for k in order)
     edges, edge_faces = _edges(faces)
-    return Solid(solid.name, solid.vertices, faces, solid.normals[order], solid.offsets[order], edges, edge_faces)
+    return replace(
+        solid, faces=faces, normals=solid.normals[order], offsets=solid.offsets[order], edges=edges, edge_faces=edge_faces
+    )  # fmt: skip
 
 
 def plane_axes(u: Array, v: Array) -> Array:
@@ -227,7 +278,7 @@ def _unit_solid(shape: str) -> Solid:
     solid = convex_solid(corners, shape)
     edge = solid.edge_m
     order = _cube_order(solid) if shape == "cube" else list(range(len(solid.faces)))
-    ordered = _renumbered(solid, order)
+    ordered = renumbered(solid, order)
     return Solid(
         shape,
         solid.vertices / edge,

@@ -78,6 +78,8 @@ class AsymmetricBody(NamedTuple):
     """[m] of the farthest vertex."""
     safe_tilt_cosines: Array
     """(n,) as of `Body`; above 1 for a vertex that lies on no axis of symmetry of the inertia."""
+    corner_radius: float
+    """[m] by which the touching point lies below a vertex; 0 for a sharp die."""
 
 
 # --- Impact laws ---

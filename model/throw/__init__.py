@@ -17,11 +17,16 @@ from .body import touching_vertices as touching_vertices
 from .body import unpacked_state as unpacked_state
 from .body import world_poses as world_poses
 from .held_contact import HeldContact as HeldContact
+from .history import free_flight as free_flight
+from .motion import EVEN as EVEN
 from .motion import Flight as Flight
 from .motion import Impact as Impact
 from .motion import State as State
 from .motion import Throw as Throw
+from .motion import Turning as Turning
 from .motion import energy_J as energy_J
+from .motion import turning_of as turning_of
+from .motion import turns_in_flight as turns_in_flight
 from .simulate import BOUNCING_CAP as BOUNCING_CAP
 from .simulate import ENDINGS as ENDINGS
 from .simulate import EXACT as EXACT
@@ -32,6 +37,8 @@ from .simulate import ThrowResult as ThrowResult
 from .simulate import Until as Until
 from .simulate import is_endless as is_endless
 from .simulate import throw_die as throw_die
+from .supported import SUPPORTED as SUPPORTED
+from .supported import Action as Action
 from .supported import BodyKind as BodyKind
 from .supported import Door as Door
 from .supported import body_kind as body_kind

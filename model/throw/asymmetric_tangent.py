@@ -18,21 +18,20 @@ If s changes by δs, the centre of mass moves by R δs, and every corner by -δs
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from .. import engine
 from ..die import Die
 from ..engine import asymmetric, derivatives
 from ..laws import Table
 from ..rotations import cross_matrix, matrix_from_quat, quat_conjugate, quat_multiply
-from .body import asymmetric_body_of, centre_of_mass_state, centroid_state, packed_state, unpacked_state
-from .history import asymmetric_impacts, states_after_events
-from .motion import Flight, State, Throw
+from .body import asymmetric_body_of, centre_of_mass_state, packed_state, unpacked_state
+from .history import asymmetric_impacts, free_flight, states_after_events
+from .motion import State, Throw
 
 Array = NDArray[np.float64]
 
@@ -71,7 +70,7 @@ def run_asymmetric_tangent(
 ) -> tuple[int, Array, Array, Array, Array]:
     """As `engine.derivatives.run_tangent`, with input and output of the centroid and ω. The log is that of `AsymmetricThrow`.
 
-    For smooth impacts without drag (`supported`).
+    Without drag (`supported`).
     """
     body, body_from_principal = _body(die)
     by_parameter = run.parameter_derivatives
@@ -122,49 +121,9 @@ def _to_centroid(die: Die, parameters: Sequence[str], poses: Array, jacobian: Ar
             jacobian[:, :3, column] -= rotations @ CENTRE_OF_MASS_AXES[name]
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class AsymmetricFlight(Flight):
-    """Free flight of an asymmetric die; before and after it the same motion is extrapolated."""
-
-    die: Die
-
-    def at(self, time_s: float) -> State:
-        """The state at any instant."""
-        centre = centre_of_mass_state(self.die, self.start)
-        delay = time_s - self.start.time_s
-        position = centre.position_m + centre.velocity_m_s * delay
-        position[2] -= 0.5 * self.gravity_m_s2 * delay**2
-        velocity = centre.velocity_m_s - np.array([0.0, 0.0, self.gravity_m_s2 * delay])
-        quaternion = self._quaternions(np.array([delay]))[0]
-        before, after = matrix_from_quat(centre.quaternion), matrix_from_quat(quaternion)
-        momentum = before @ self.die.tensor_kg_m2 @ before.T @ centre.omega_rad_s
-        omega = after @ np.linalg.solve(self.die.tensor_kg_m2, after.T @ momentum)
-        return centroid_state(self.die, State(time_s, position, quaternion, velocity, omega))
-
-    def poses(self, times_s: ArrayLike) -> tuple[Array, Array]:
-        """Positions (n, 3) [m] and quaternions (n, 4) wxyz at times (n,) [s]."""
-        centre = centre_of_mass_state(self.die, self.start)
-        delays = np.atleast_1d(np.asarray(times_s, float)) - self.start.time_s
-        positions = centre.position_m + np.outer(delays, centre.velocity_m_s)
-        positions[:, 2] -= 0.5 * self.gravity_m_s2 * delays**2
-        quaternions = self._quaternions(delays)
-        return positions - matrix_from_quat(quaternions) @ self.die.centre_of_mass_offset_m, quaternions
-
-    def _quaternions(self, delays: Array) -> Array:
-        """Attitudes (n, 4) at times (n,) [s] after the start."""
-        body, body_from_principal = _body(self.die)
-        packed = packed_state(self.start)
-        packed[3:7] = quat_multiply(packed[3:7], body_from_principal)
-        attitudes = asymmetric.attitudes_in_flight(body, packed, delays)
-        return quat_multiply(attitudes, quat_conjugate(body_from_principal))
-
-
 def throw_from_flights(die: Die, start: State, table: Table, log: Array, end_s: float) -> Throw:
     """The Throw of a start and a log of impacts, as `run_asymmetric_tangent` returns it."""
     starts = [start, *states_after_events(die, table, log)]
     ends = [*(float(t) for t in log[:, 0]), end_s]
-    flights = tuple(
-        AsymmetricFlight(start=s, end_s=e, gravity_m_s2=table.gravity_m_s2, die=die)
-        for s, e in zip(starts, ends, strict=True)
-    )
+    flights = tuple(free_flight(die, s, e, table.gravity_m_s2) for s, e in zip(starts, ends, strict=True))
     return Throw(flights, asymmetric_impacts(die, table, log, flights))

@@ -13,6 +13,8 @@ point, and `world_poses` gives back the poses of the centroid. A die with an ani
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,6 +31,9 @@ MAX_STATE_COMPONENT = {"position_m": 9e12, "velocity_m_s": 1e8, "omega_rad_s": 1
 
 QUATERNION_LENGTH_TOLERANCE = 1e-6
 """Deviation from length 1 within which a quaternion is normalised; a larger one is not a rotation written with six digits."""
+
+CACHED_DICE = 64
+"""Dice whose touching vertices are kept, because fits ask for those of the same die again and again."""
 
 EQUAL_MOMENTS = 1e-12
 """Difference of two moments of inertia, as a share of the largest, that is rounding."""
@@ -84,6 +89,7 @@ def asymmetric_body_of(die: Die) -> tuple[engine.AsymmetricBody, Array]:
         moments,
         float(np.linalg.norm(vertices, axis=1).max()),
         np.where(_on_axis_of_symmetry(vertices, moments), safe_tilt_cosines(vertices), np.inf),
+        float(die.corner_radius_m),
     )
     return body, quat_from_matrix(axes)
 
@@ -195,9 +201,12 @@ def centroid_state(die: Die, state: State) -> State:
     return _shifted_state(die, state, -1.0)
 
 
+@lru_cache(maxsize=CACHED_DICE)
 def touching_vertices(die: Die) -> Array:
     """The points (n, 3) [m, body axes] whose heights decide what touches: the inner polyhedron's if corners are rounded."""
-    return inner_vertices(die.solid, die.corner_radius_m) if die.corner_radius_m else die.solid.vertices
+    vertices = inner_vertices(die.solid, die.corner_radius_m) if die.corner_radius_m else die.solid.vertices.copy()
+    vertices.flags.writeable = False
+    return vertices
 
 
 def plumb_normals(solid: Solid, radius_m: float, centre_m: Array) -> Array:

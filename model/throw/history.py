@@ -19,9 +19,9 @@ from ..die import Die
 from ..laws import LEVEL, Table
 from ..rotations import matrix_from_quat, quat_multiply
 from .asymmetric_throw import AsymmetricThrow
-from .body import body_of, centroid_state, packed_state, touching_vertices, unpacked_state
+from .body import body_of, centre_of_mass_state, centroid_state, packed_state, touching_vertices, unpacked_state
 from .held_contact import HeldContact
-from .motion import Flight, Impact, SampledFlight, State, Throw, energy_J, rotated_state
+from .motion import Flight, Impact, SampledFlight, State, Throw, energy_J, rotated_state, turning_of
 
 Array = NDArray[np.float64]
 Pair = tuple[int, int]
@@ -96,6 +96,16 @@ class LoadedMotion(SampledFlight):
         return positions - matrix_from_quat(quaternions) @ self.centre_of_mass_m, quaternions
 
 
+def free_flight(die: Die, start: State, end_s: float, gravity_m_s2: float) -> Flight:
+    """The free flight of a die, from the state of its centroid."""
+    if die.centre_of_mass_m is None:
+        return Flight(start, end_s, gravity_m_s2=gravity_m_s2, turning=turning_of(die))
+    of_mass = Flight(
+        centre_of_mass_state(die, start), end_s, gravity_m_s2=gravity_m_s2, turning=turning_of(die)
+    )  # fmt: skip
+    return LoadedMotion.beside(of_mass, die)
+
+
 def throw_from_log(
     die: Die, start: Array, begin_s: float, log: Array, end_s: float, knots: Array = _NO_KNOTS, table: Table = LEVEL
 ) -> Throw:
@@ -123,10 +133,12 @@ def throw_from_log(
 
 def throw_from_asymmetric(motion: AsymmetricThrow, release: State, table: Table) -> Throw:
     """The Throw of an asymmetric die; `release` in world axes."""
-    starts = [release, *states_after_events(motion.die, table, motion.log)]
+    starts, turning = [release, *states_after_events(motion.die, table, motion.log)], turning_of(motion.die)
     ends = [*(float(time) for time in motion.log[:, 0]), motion.end_s]
     flights = tuple(
-        AsymmetricMotion(start=start, end_s=end, gravity_m_s2=table.gravity_m_s2, motion=motion, table=table)
+        AsymmetricMotion(
+            start=start, end_s=end, gravity_m_s2=table.gravity_m_s2, turning=turning, motion=motion, table=table
+        )
         for start, end in zip(starts, ends, strict=True)
     )
     return Throw(flights, asymmetric_impacts(motion.die, table, motion.log, flights))

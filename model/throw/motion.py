@@ -2,21 +2,32 @@
 
 A throw is a list of flights joined by impacts, whether it was measured or simulated. The flight of a spherical top is
 exact: its centre moves on a parabola, and its angular velocity is constant in world axes (Kapitaniak et al., Chaos 22,
-047504, 2012, Eqs 1 to 4).
+047504, 2012, Eqs 1 to 4). That of a body with several moments of inertia turns by Euler's equations
+(`engine.asymmetric.torque_free`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..die import Die
-from ..rotations import matrix_from_quat, quat_from_rotvec, quat_multiply
+from ..engine.asymmetric import EvenTurning, TorqueFree, torque_free_turns
+from ..rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, quat_multiply
 from ..world import GRAVITY_M_S2
 
 Array = NDArray[np.float64]
+Turning = EvenTurning | TorqueFree
+
+EVEN = EvenTurning(1.0)
+"""How any spherical top turns."""
+
+CACHED_DICE = 16
+"""Dice whose principal axes are kept, because flights of one die are made again and again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,12 +50,43 @@ class State:
         return matrix_from_quat(self.quaternion)
 
 
+@lru_cache(maxsize=CACHED_DICE)
+def turning_of(die: Die) -> Turning:
+    """How a die turns in flight, about its centre of mass."""
+    if die.isotropic_inertia_kg_m2 is not None:
+        return EVEN
+    moments, axes = np.linalg.eigh(die.tensor_kg_m2)
+    axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
+    return TorqueFree(moments, quat_from_matrix(axes))
+
+
+class Turns(NamedTuple):
+    """Attitudes of a body that turns without torque, at n instants."""
+
+    quaternions: Array
+    """(n, 4)."""
+    omegas_rad_s: Array
+    """(n, 3) world axes."""
+    transitions: Array
+    """(n, 6, 6) derivatives of attitude and angular velocity by those at the start."""
+
+
+def turns_in_flight(turning: TorqueFree, start: State, delays_s: Array) -> Turns:
+    """The attitudes `delays_s` (n,) after a state, of either sign."""
+    n = len(delays_s)
+    found = Turns(np.empty((n, 4)), np.empty((n, 3)), np.empty((n, 6, 6)))
+    quaternion, omega = np.ascontiguousarray(start.quaternion), np.ascontiguousarray(start.omega_rad_s)
+    torque_free_turns(turning, quaternion, omega, np.ascontiguousarray(delays_s), *found)
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """Motion between two impacts, from the instant of `start` until `end_s`: free flight of a spherical top under gravity.
+    """Motion between two impacts, from the instant of `start` until `end_s`: free flight under gravity of a body whose centre of
+    mass is its centroid.
 
-    Subclasses move otherwise: `HeldContact` on the table, `AsymmetricMotion` and `AsymmetricFlight` with any inertia,
-    `DraggedFlight` in air.
+    Subclasses move otherwise: `HeldContact` on the table, `AsymmetricMotion` with any inertia there too, `LoadedMotion`
+    with its centre of mass elsewhere, `DraggedFlight` in air.
     """
 
     start: State
@@ -54,19 +96,22 @@ class Flight:
     world axes, R_true = exp(δ) R. None for a simulated flight."""
     gravity_m_s2: float = GRAVITY_M_S2
     """Along -z."""
+    turning: Turning = EVEN
+    """How the body turns: `turning_of` its die."""
 
     def at(self, time_s: float) -> State:
         """The state at any instant; before and after the flight its motion is extrapolated."""
-        dt = time_s - self.start.time_s
         positions, quaternions = self.poses(np.array([time_s]))
-        velocity = self.start.velocity_m_s - np.array([0.0, 0.0, self.gravity_m_s2 * dt])
-        return State(time_s, positions[0], quaternions[0], velocity, self.start.omega_rad_s)
+        rates = self.rates(np.array([time_s]))[0]
+        return State(time_s, positions[0], quaternions[0], rates[:3], rates[3:])
 
     def poses(self, times_s: ArrayLike) -> tuple[Array, Array]:
         """Positions (n, 3) [m] and quaternions (n, 4) wxyz at times (n,) [s]."""
         dt = np.asarray(times_s, float) - self.start.time_s
         positions = self.start.position_m + np.outer(dt, self.start.velocity_m_s)
         positions[:, 2] -= 0.5 * self.gravity_m_s2 * dt**2
+        if isinstance(self.turning, TorqueFree):
+            return positions, turns_in_flight(self.turning, self.start, dt).quaternions
         turns = quat_from_rotvec(np.outer(dt, self.start.omega_rad_s))
         return positions, quat_multiply(turns, self.start.quaternion)
 
@@ -75,6 +120,8 @@ class Flight:
         dt = np.asarray(times_s, float) - self.start.time_s
         rates = np.tile(np.concatenate([self.start.velocity_m_s, self.start.omega_rad_s]), (len(dt), 1))
         rates[:, 2] -= self.gravity_m_s2 * dt
+        if isinstance(self.turning, TorqueFree):
+            rates[:, 3:] = turns_in_flight(self.turning, self.start, dt).omegas_rad_s
         return rates
 
 

@@ -41,8 +41,8 @@ SUPPORTED: dict[Door, dict[BodyKind, frozenset[Action]]] = {
     Door.THROW: {BodyKind.CENTRED: _IMPACTS, BodyKind.LOADED: _IMPACTS, BodyKind.ASYMMETRIC: _NOTHING},
     Door.DERIVATIVES: {
         BodyKind.CENTRED: frozenset({Action.FRICTION, Action.RESTITUTION_BY_SPEED, Action.DRAG}),
-        BodyKind.LOADED: _NOTHING,
-        BodyKind.ASYMMETRIC: _NOTHING,
+        BodyKind.LOADED: frozenset({Action.FRICTION, Action.RESTITUTION_BY_SPEED}),
+        BodyKind.ASYMMETRIC: frozenset({Action.FRICTION, Action.RESTITUTION_BY_SPEED}),
     },
 }
 """What may act on which body; several of them together, too."""

@@ -17,6 +17,7 @@ from skimage.color import deltaE_ciede2000, rgb2lab
 from diethrow.commands.model.basin_maps import BasinsPlan, axes_of, basins, fixed_from
 from diethrow.commands.model.face_odds import OddsPlan, odds
 from diethrow.files.work_file import WorkFile
+from diethrow.model.die import make_die
 from diethrow.model.ensembles.basins import Axis
 from diethrow.model.ensembles.landings import ENDING_OF_INDEX
 from diethrow.model.ensembles.odds import Share, Tally
@@ -24,7 +25,8 @@ from diethrow.model.throw.simulate import Ending
 from diethrow.replay.elements.colours import BOUNCING_COLOUR, FACE_COLOURS, NO_RELEASE_COLOUR, SPINNING_COLOUR
 from diethrow.replay.figures.ensembles import basin_map, colours_of, face_odds
 
-PLAN = OddsPlan("cube", 0.02, 0.016, (0.5, 0.2), 40.0, throws=500, after=2)
+CUBE = make_die("cube", 0.02, 0.016)
+PLAN = OddsPlan(CUBE, (0.5, 0.2), 40.0, throws=500, after=2)
 SMALL = BasinsPlan(Axis("z0", 0.1, 0.4, 20), Axis("omega_eta", 0.0, 50.0, 30))
 
 
@@ -78,7 +80,7 @@ def test_odds_are_written_whole_and_add_up(tmp_path: Path) -> None:
 
 
 def test_throws_that_land_on_no_face_are_reported(tmp_path: Path) -> None:
-    plan = OddsPlan("cube", 0.02, 0.016, (1.0,), 40.0, conditions="uniform", throws=20, after=0)
+    plan = OddsPlan(CUBE, (1.0,), 40.0, conditions="uniform", throws=20, after=0)
     (tally,) = odds(plan, tmp_path / "out")
     written = json.loads((tmp_path / "out" / "odds.json").read_text())
     assert written["messages"] == ["20 of 20 throws landed on no face: 20 bouncing."]
@@ -145,7 +147,7 @@ def test_ctrl_c_says_how_to_resume(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 def test_a_work_file_with_other_settings_is_refused(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         odds(PLAN, tmp_path / "out", chunk=100, progress=StopAt(200))
-    other = OddsPlan("cube", 0.02, 0.016, (0.5, 0.2), 41.0, throws=500, after=2)
+    other = OddsPlan(CUBE, (0.5, 0.2), 41.0, throws=500, after=2)
     with pytest.raises(ValueError, match="belongs to a run with other settings"):
         odds(other, tmp_path / "out", resume=True)
     # Without --resume it is begun anew, and the old work file goes.
@@ -301,3 +303,24 @@ def test_figures_state_units_and_name_every_face() -> None:
     assert [text.get_text() for text in legend.get_texts()] == ["face 1", "face 2", "face 3", "face 4", "spins"]
     bars = face_odds(Figure().add_subplot(), {"χ = 0.5": [Share(10, 60)] * 6})
     assert "[" in bars.get_ylabel()
+
+
+def test_a_die_of_any_shape_is_thrown_from_its_file(tmp_path: Path) -> None:
+    file = tmp_path / "d10.toml"
+    file.write_text('[die]\nshape = "d10"\nedge_m = 0.0145\nshort_edge_m = 0.0078\nmass_kg = 0.0035\n')
+    status, _, message = invoke(
+        "odds", "--die", file, "--throws", "200", "--conditions", "uniform", "--out", tmp_path / "out"
+    )
+    assert status == 0, message
+    record = json.loads((tmp_path / "out" / "odds.json").read_text())
+    assert record["die"] == {"shape": "d10", "edge_m": 0.0145, "short_edge_m": 0.0078, "mass_kg": 0.0035}
+    faces = record["series"][0]["landed"]
+    assert len(faces) == 10
+
+
+def test_a_die_from_a_file_has_no_second_shape(tmp_path: Path) -> None:
+    file = tmp_path / "cube.toml"
+    file.write_text('[die]\nshape = "cube"\nedge_m = 0.02\nmass_kg = 0.016\n')
+    status, _, message = invoke("odds", "--die", file, "--edge", "0.01", "--out", tmp_path / "out")
+    assert status == 2
+    assert "--edge beside --die" in message

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from command_line import CUBE_ON_WOOD, invoke, text_file
 
 from diethrow.files.scene import SceneError, read_scene
@@ -174,6 +175,41 @@ MISTAKES = {
     "empty path": ('"clip.avi"', '""', ["clip.path", '""', "path of the footage"]),
     "unknown shape": ('"cube"', '"qube"', ["die.shape", "qube", "tetrahedron, cube, octahedron"]),
     "pips on a tetrahedron": ('shape = "cube"', 'shape = "tetrahedron"', ["die.marks", "pips", "tetrahedron"]),
+    "length of another shape": (
+        "edge_m =",
+        "unit_m = 0.001\nedge_m =",
+        ["die.unit_m = 0.001", "not of a cube", "edge_m"],
+    ),
+    "a d10 without its shorter edge": (
+        'shape = "cube"',
+        'shape = "d10"',
+        ["die.short_edge_m is missing", "between neighbouring corners", "metres"],
+    ),
+    "a cuboid in millimetres": (
+        'shape = "cube"\nedge_m = 0.016',
+        'shape = "cuboid"\nedges_m = [13.0, 16.0, 19.0]',
+        ["die.edges_m = [13.0, 16.0, 19.0]", "16 in the mean", "did you mean 0.016?"],
+    ),
+    "a cuboid without a length": (
+        'shape = "cube"\nedge_m = 0.016',
+        'shape = "cuboid"\nedges_m = [0.013, 0.016]',
+        ["edges_m = [0.013, 0.016]", "3 lengths"],
+    ),
+    "a mesh that is not there": (
+        'shape = "cube"\nedge_m = 0.016',
+        'shape = "die.stl"\nunit_m = 0.001',
+        ["die.shape", "die.stl", "does not exist"],
+    ),
+    "a mesh without its unit": (
+        'shape = "cube"\nedge_m = 0.016',
+        'shape = "die.stl"',
+        ["die.unit_m is missing", "0.001"],
+    ),
+    "one moment of a body with three": (
+        'shape = "cube"\nedge_m = 0.016',
+        'shape = "cuboid"\nedges_m = [0.013, 0.016, 0.019]\ninertia_kg_m2 = 2e-7',
+        ["die.inertia_kg_m2 = 2e-07", "several moments"],
+    ),
     "unknown marks": ('"pips"', '"dots"', ["die.marks", "dots", "numbers"]),
     "corner beyond the die": ("edge_m =", "corner_radius_m = 0.6\nedge_m =", ["corner_radius_m = 0.6", "0.0006?"]),
     "corners below zero": (
@@ -231,6 +267,31 @@ def test_a_corner_radius_is_given_or_estimated(
             scene.given_die()
     else:
         assert scene.given_die() is scene.die
+
+
+def test_a_mesh_beside_the_scene_is_a_die(folder: Path) -> None:
+    trimesh.creation.box((20.0, 16.0, 12.0)).export(folder / "die.stl")
+    text = SCENE.replace('shape = "cube"\nedge_m = 0.016', 'shape = "die.stl"\nunit_m = 0.001').replace(
+        '"pips"', '"numbers"'
+    )
+    scene = read_scene(scene_file(folder, text))
+    assert scene.settings_paths == (scene.path, folder / "die.stl")
+    assert len(scene.die.solid.faces) == 6
+    assert scene.die.solid.edge_m == pytest.approx(0.016, rel=1e-6)
+    # m/12 (b² + c²) of 4.8 g.
+    np.testing.assert_allclose(
+        np.linalg.eigvalsh(scene.die.tensor_kg_m2), np.array([1.6, 2.176, 2.624]) * 1e-7, rtol=1e-6
+    )
+
+
+def test_a_die_that_no_one_radius_rounds_is_sharp_unless_its_radius_is_asked_for(folder: Path) -> None:
+    """Four unlike faces that meet in one corner do not when all are moved inwards alike."""
+    corners = [[-0.01, -0.01, 0.0], [0.01, -0.01, 0.0], [0.01, 0.01, 0.0], [-0.01, 0.01, 0.0], [0.004, 0.001, 0.015]]
+    text = SCENE.replace('shape = "cube"\nedge_m = 0.016', f'shape = "polyhedron"\ncorners_m = {corners}')
+    text = text.replace('"pips"', '"numbers"')
+    assert read_scene(scene_file(folder, text)).rounding is CornerRounding.GIVEN
+    with pytest.raises(SceneError, match="would no longer meet in one point"):
+        read_scene(scene_file(folder, text + 'corner_radius_m = "estimate"\n'))
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diethrow.model.die.die import Die, make_die
-from diethrow.model.die.solid import inner_vertices
+from diethrow.model.die.die import Die, die_from_solid, make_die
+from diethrow.model.die.solid import convex_solid, inner_vertices
 from diethrow.model.laws import LEVEL, ImpactLaw, SmoothImpact, Table
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
 from diethrow.model.throw.motion import Flight, State, Throw
@@ -26,6 +26,10 @@ DICE = (
     make_die("icosahedron", 0.0105, 0.003),
 )
 """Of the studies over many throws, taken in turn."""
+BRICK = die_from_solid(
+    convex_solid([(0.013 * x, 0.0156 * y, 0.0195 * z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], "brick"), 0.0048
+)
+"""A cuboid 1 : 1.2 : 1.5, with three moments of inertia."""
 
 
 def random_release(die: Die, rng: np.random.Generator, *, spin_rad_s: float = 30.0) -> State:
@@ -48,7 +52,7 @@ def true_throw(die: Die, release: State, chi: float, *, impacts: int, frames_aft
 def impact_at(die: Die, vertex: int) -> VertexImpact:
     """An impact at one vertex of that die."""
     point = inner_vertices(die.solid, die.corner_radius_m)[vertex]
-    return VertexImpact(point, die.corner_radius_m, die.mass_kg / die.inertia_kg_m2)
+    return VertexImpact(point, die.corner_radius_m, die.mass_kg * np.linalg.inv(die.tensor_kg_m2))
 
 
 def frame_covariance(rng: np.random.Generator, n: int, scale: float = 1.0) -> Array:
@@ -75,6 +79,7 @@ def seen(throw: Throw, rng: np.random.Generator, *, noise: float = 1.0, stated: 
         quat_multiply(quat_from_rotvec(errors[:, 3:]), quaternions),
         covariance * (stated / noise) ** 2 if noise else covariance,
         np.full(len(times), TRACKED),
+        turning=throw.flights[0].turning,
     )
 
 
@@ -90,7 +95,7 @@ def roughly_measured(throw: Throw, rng: np.random.Generator) -> Throw:
             s.velocity_m_s + 0.01 * rng.standard_normal(3),
             s.omega_rad_s + 2.0 * rng.standard_normal(3),
         )
-        flights.append(Flight(start, flight.end_s))
+        flights.append(Flight(start, flight.end_s, turning=flight.turning))
     impacts = [replace(i, time_s=i.time_s + rng.uniform(-0.1, 0.1) / FPS, sigma_time_s=5e-5) for i in throw.impacts]
     return Throw(tuple(flights), tuple(impacts))
 
@@ -129,4 +134,4 @@ def later(throw: Throw, seconds: float) -> Throw:
 def weighted_poses(track: Track, unmodelled: float = 0.0) -> WeightedPoses:
     """The poses of a track with their weights; `unmodelled` is the factor on the unmodelled errors."""
     poses = (track.time_s, track.position_m, track.quaternion, track.covariance)
-    return WeightedPoses.from_poses(*poses, unmodelled=unmodelled)
+    return WeightedPoses.from_poses(*poses, unmodelled=unmodelled, turning=track.turning)

@@ -23,9 +23,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.die import Die
+from ...model.die import Die, inner_vertices
 from ...model.rotations import matrix_from_quat
-from ...model.throw import Flight, State, Throw
+from ...model.throw import State, Throw
 from ..camera import Camera
 from ..clip_parameters import CornerRadius
 from ..flights import transition_matrix
@@ -35,6 +35,7 @@ from ..picture import (
     View,
     background_noise,
     differs_from_background,
+    flight_from,
     largest_blob,
     level_step,
     make_view,
@@ -324,7 +325,7 @@ def _diameter_px(view: View, position: Array, rotation: Array) -> float:
 
 def _shift_px(view: View, state: State, time_s: float) -> float:
     """Distance [px] that the fastest corner moves in the picture in `time_s`, at its present velocity."""
-    flight = Flight(state, np.inf, gravity_m_s2=view.gravity_m_s2)
+    flight = flight_from(view, state)
     now, then = (
         view.camera.project(view.die.solid.vertices @ each.rotation.T + each.position_m)
         for each in (state, flight.at(state.time_s + SHORT_S))
@@ -385,14 +386,14 @@ def fall_of_correlated_frames(track: Track, throw: Throw) -> Fall | None:
 
 def contact_heights(throw: Throw, die: Die) -> tuple[Array, Array]:
     """Heights [m] of the lowest point at each resolved bounce, with their standard errors; 0 at the calibrated table."""
-    shrink = 1.0 - die.corner_radius_m / die.solid.inradius
+    inner = inner_vertices(die.solid, die.corner_radius_m)
     heights, sigmas = [], []
     for k, impact in enumerate(throw.impacts):
         before = throw.flights[k]
         if impact.contact == "unresolved" or before.covariance is None:
             continue
         state = before.at(impact.time_s)
-        corners = shrink * die.solid.vertices @ state.rotation.T
+        corners = inner @ state.rotation.T
         low = int(np.argmin(corners[:, 2]))
         x, y, z = corners[low]
         row = np.zeros(12)

@@ -86,8 +86,9 @@ def _gaining_energy(found: MeasuredThrow, track: Track) -> Mask:
 
 
 def _energy(die: Die, flight: Flight) -> tuple[float, float]:
-    """Energy [J] of a flight with a covariance, and its standard error, for which the die counts as a spherical top."""
+    """Energy [J] of a flight with a covariance, and its standard error, by its velocities alone."""
     v, w = flight.start.velocity_m_s, flight.start.omega_rad_s
     weight = np.array([0.0, 0.0, die.mass_kg * flight.gravity_m_s2])
-    slope = np.concatenate([weight, np.zeros(3), die.mass_kg * v, die.inertia_kg_m2 * w])
+    rotation = flight.start.rotation
+    slope = np.concatenate([weight, np.zeros(3), die.mass_kg * v, rotation @ die.tensor_kg_m2 @ rotation.T @ w])
     return energy_J(die, flight.start, flight.gravity_m_s2), float(np.sqrt(max(slope @ flight.covariance @ slope, 0.0)))

@@ -89,8 +89,8 @@ def fall_notices(fall: Fall | None) -> tuple[str, ...]:
         )
     share = fall.gravity_m_s2 / down
     return (
-        f"{measured}: multiply die.edge_m by {share:.3g} or clip.fps by {np.sqrt(share):.3g} if one of them is wrong; else "
-        "calibrate again, [camera] may not be that of this clip.",
+        f"{measured}: multiply the lengths of [die] by {share:.3g} or clip.fps by {np.sqrt(share):.3g} if one of them is wrong; "
+        "else calibrate again, [camera] may not be that of this clip.",
     )
 
 

@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.throw import Flight, State, Throw
+from ...model.throw import State, Throw
 from ..footage import Clip
-from ..picture import NORMAL_MAD, View
+from ..picture import NORMAL_MAD, View, flight_from
 from ..pose import pose_state, refine_pose
 from ..track import Track
 
@@ -93,7 +93,7 @@ def _exposed_state(track: Track, throw: Throw, view: View, row: int) -> State:
     motion = throw.at(time_s)
     state = State(time_s, position_m, track.quaternion[row], motion.velocity_m_s, motion.omega_rad_s)
     late_s = float(view.exposure_delay_s(position_m[None])[0])
-    return replace(Flight(state, np.inf, gravity_m_s2=track.gravity_m_s2).at(time_s + late_s), time_s=time_s)
+    return replace(flight_from(view, state).at(time_s + late_s), time_s=time_s)
 
 
 def _least(trials: Array, values: Array) -> float:

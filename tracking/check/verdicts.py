@@ -416,6 +416,7 @@ def _scale(fall: Fall | None, die: Die) -> Finding:
     wide = TWO_SIDED_95 * float(np.sqrt(along @ fall.covariance @ along))
     edge, share = die.solid.edge_m, fall.gravity_m_s2 / size
     found, half = edge * share, edge * share * wide / size
+    which = "edge" if list(die.solid.dimensions) == ["edge_m"] else "mean edge"
     values: dict[str, float | None] = {
         "acceleration_m_s2": size,
         "acceleration_half_width_m_s2": wide,
@@ -423,7 +424,7 @@ def _scale(fall: Fall | None, die: Die) -> Finding:
         "edge_from_fall_half_width_m": half,
     }
     measured = (
-        f"The die falls with {size:.4g} ± {wide:.2g} m/s² (95 %), and gravity is {fall.gravity_m_s2:g}: its edge would be "
+        f"The die falls with {size:.4g} ± {wide:.2g} m/s² (95 %), and gravity is {fall.gravity_m_s2:g}: its {which} would be "
         f"{1e3 * found:.4g} ± {1e3 * half:.2g} mm, the scene says {1e3 * edge:.4g} mm."
     )
     off, doubt = abs(share - 1.0), wide / size
@@ -432,8 +433,8 @@ def _scale(fall: Fall | None, die: Die) -> Finding:
     if off <= CERTAIN * doubt and doubt > GOOD_SCALE:
         return Finding("scale", Verdict.DOUBTFUL, measured, f"the fall is too short to decide; {LONGER}", values)
     advice = (
-        f"multiply die.edge_m by {share:.4g} or clip.fps by {np.sqrt(share):.4g} if one of them is wrong; else calibrate "
-        "again: [camera] may have another focal length than this clip"
+        f"multiply the lengths of [die] by {share:.4g} or clip.fps by {np.sqrt(share):.4g} if one of them is wrong; else "
+        "calibrate again: [camera] may have another focal length than this clip"
     )
     return Finding("scale", Verdict.BAD if off > MAX_SCALE_ERROR else Verdict.DOUBTFUL, measured, advice, values)
 
@@ -470,9 +471,7 @@ def _table(contact_height_m: Array, contact_sigma_m: Array) -> Finding:
     values: dict[str, float | None] = {"contact_m": middle, "contact_half_width_m": wide}
     if abs(middle) <= max(GOOD_HEIGHT_M, wide):
         return Finding("table", Verdict.GOOD, measured, "", values)
-    advice = (
-        "correct translation_m of [camera], by the thickness of the board perhaps, or die.edge_m or corner_radius_m"
-    )
+    advice = "correct translation_m of [camera], by the thickness of the board perhaps, or lengths and corner_radius_m of [die]"
     return Finding(
         "table",
         Verdict.BAD if abs(middle) > max(MAX_HEIGHT_M, CERTAIN * wide) else Verdict.DOUBTFUL,

@@ -7,10 +7,12 @@ flight after it has twelve free numbers of its own.
 
 First-order changes at an impact, with those within a flight from `single_flights`:
 
-    δp' = δp(t) - Δv δt     δv' = δv + δ(Δv)     δθ' = δθ(t) - Δω δt     δω' = δω + δ(Δω)
+    δp' = δp(t) - Δv δt     δv' = δv + δ(Δv)     δθ' = δθ(t) - Δω δt     δω' = δω + δ(Δω) + (ω̇₋ - ω̇₊) δt
+
+where ω̇ before and behind it are 0 for a spherical top.
 
 **Conditions of an impact at a vertex** (`VertexImpact`), with or without friction: the table pushes at one point, r from the
-centre, for no time. Hence J Δω = m r × Δv (J the moment of inertia), and the point is on the table at t. Both are observations
+centre, for no time. Hence Δω = m I⁻¹ (r × Δv) with the inertia I, and the point is on the table at t. Both are observations
 with a tolerance, so that a deviation of the inertia or of the table's height from the stated one bends the fit no further than
 allowed. The squares that they leave (`impact_chi2`) indicate whether the impact is one at that point.
 
@@ -28,6 +30,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.engine.asymmetric import TorqueFree
 from ...model.throw import Flight, State
 from . import flight_kernels as kernels
 from .chain_solver import MAX_LINK_SIZE, Stages, chain_covariance, solve_chain
@@ -41,6 +44,8 @@ from .single_flights import (
     normal_equations,
     packed,
     propagate_chain,
+    spin_jumps,
+    spin_rates,
     transition_matrix,
     unpacked,
 )
@@ -58,7 +63,7 @@ TABLE_SIGMA_M = 3e-5
 CONTACT_SIGMA_M = 2e-5
 """Standard deviation [m] of a single contact about that height: a stiff die of a few grams is indented by some 0.01 mm."""
 LEVER_SHARE = 0.01
-"""Tolerance of J Δω = m r × Δv as a share of Δω: drilled pips change J by a per cent."""
+"""Tolerance of Δω = m I⁻¹ (r × Δv) as a share of Δω: drilled pips change I by a per cent."""
 MIN_LEVER_SIGMA_RAD_S = 0.3
 """Least tolerance [rad/s] of the same: the contact is a patch of some 0.1 mm, not a point."""
 LARGEST_STEP = 1e5
@@ -94,12 +99,17 @@ class VertexImpact:
     """(3,) in the body frame: the corner of a sharp die, the centre of the inscribed ball of a rounded one."""
     rounding_m: float
     """Radius [m] of that ball, whose lowest point touches."""
-    mass_over_inertia: float
-    """m/J [1/m²]."""
+    mass_over_inertia: Array
+    """(3, 3) m I⁻¹ [1/m²], body frame."""
 
     def arm(self, rotation: Array) -> Array:
         """(3,) [m] from the centre of the die to the point of contact, world axes."""
         return np.asarray(rotation @ self.point_m - np.array([0.0, 0.0, self.rounding_m]))
+
+    def spin_change(self, rotation: Array, velocity_change_m_s: Array) -> Array:
+        """Δω (3,) [rad/s] that goes with a change (3,) of velocity."""
+        torque = np.cross(self.arm(rotation), velocity_change_m_s)
+        return np.asarray(rotation @ self.mass_over_inertia @ rotation.T @ torque)
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,7 +333,7 @@ def vertex_impact_cost(chain: FlightChain, k: int, impact: VertexImpact, table_s
 
 
 def _lever_sigma(jumps: Array) -> Array:
-    """(N,) [rad/s] tolerance of J Δω = m r × Δv for jumps (N, 6)."""
+    """(N,) [rad/s] tolerance of Δω = m I⁻¹ (r × Δv) for jumps (N, 6)."""
     return np.asarray(LEVER_SHARE * np.linalg.norm(jumps[:, 3:], axis=1) + MIN_LEVER_SIGMA_RAD_S)
 
 
@@ -334,7 +344,7 @@ def _vertex_impacts(links: Sequence[Link]) -> VertexImpacts:
         np.array([k for k, _ in impacts], np.int64),
         np.array([impact.point_m for _, impact in impacts]).reshape(-1, 3),
         np.array([impact.rounding_m for _, impact in impacts]),
-        np.array([impact.mass_over_inertia for _, impact in impacts]),
+        np.array([impact.mass_over_inertia for _, impact in impacts]).reshape(-1, 3, 3),
     )
 
 
@@ -342,7 +352,7 @@ def _impact_equations(
     ends: Array, jumps: Array, impacts: VertexImpacts, table_m: float, lever_sigma: Array
 ) -> ImpactEquations:
     """Of each vertex impact, from the states (N, 14) before the links and the jumps (N, 6): its point lies on the table, and
-    J Δω = m r × Δv within `lever_sigma` (N,)."""
+    Δω = m I⁻¹ (r × Δv) within `lever_sigma` (N,)."""
     count = len(impacts.link)
     found = ImpactEquations(np.zeros((count, 4, 12)), np.zeros((count, 4, MAX_LINK_SIZE)), np.zeros((count, 4)))
     kernels.impact_equations(ends, jumps, impacts, table_m, CONTACT_SIGMA_M, lever_sigma, found)
@@ -417,7 +427,8 @@ class _Unknowns:
         numbers, times_s = np.array([packed(start) for start in starts]), np.array([link.time_s for link in links])
         fallen = np.diff(numbers[:, 0])[:, None] * np.array([0.0, 0.0, observations.gravity_m_s2])
         # Both sides of a link fall alike: only the difference between their times of fall remains.
-        jumps = np.hstack([np.diff(numbers[:, 8:11], axis=0) + fallen, np.diff(numbers[:, 11:14], axis=0)])
+        spun = spin_jumps(observations, starts, times_s)
+        jumps = np.hstack([np.diff(numbers[:, 8:11], axis=0) + fallen, spun])
         spacing_s = float(np.median(np.diff(observations.time_s))) if len(observations) > 1 else 1.0
         is_open = np.array([link.is_open for link in links], bool)
         share = 1.0 / errors.long_run_variance(spacing_s)
@@ -444,9 +455,8 @@ class _Unknowns:
 
     def trajectory(self) -> _Trajectory:
         """The motion at the present values."""
-        gravity_m_s2 = self.observations.gravity_m_s2
         states, ends, transitions = propagate_chain(
-            self.first, self.times_s, self.jumps, self.is_open, self.free, gravity_m_s2
+            self.observations, self.first, self.times_s, self.jumps, self.is_open, self.free
         )
         inside = np.searchsorted(self.observations.time_s, self.times_s, side="right")
         cuts = np.concatenate([[0], inside, [len(self.observations)]]).astype(np.int64)
@@ -514,8 +524,10 @@ class _Unknowns:
         constants = np.arange(12, size)
         stages.by_state[:, constants, constants] = 1.0
         stages.by_state[:, :12, :12] = np.where(self.is_open[:, None, None], 0.0, trajectory.transitions)
-        # The velocity at the link changes with its instant only through gravity, which both sides share.
+        # The velocity at the link changes with its instant only through gravity, which both sides share, and the spin only of a
+        # body with several moments of inertia.
         stages.by_link[:, 0:6, 0] = -self.jumps
+        stages.by_link[:, 9:12, 0] = self._spin_drift(trajectory)
         stages.by_link[:, np.arange(6, 12), np.arange(1, 7)] = 1.0
         stages.by_link[self.is_open] = np.eye(size, MAX_LINK_SIZE)
         stages.impact_by_state[struck, :, :12] = impacts.by_end @ trajectory.transitions[struck]
@@ -523,6 +535,13 @@ class _Unknowns:
         stages.impact_by_link[struck] = impacts.by_link
         stages.violation[struck] = impacts.violation
         return stages
+
+    def _spin_drift(self, trajectory: _Trajectory) -> Array:
+        """(N, 3) [rad/s²] by how much the spin changes faster before each link than behind it; 0 for a spherical top."""
+        turning = self.observations.turning
+        if not isinstance(turning, TorqueFree):
+            return np.zeros((len(self.links), 3))
+        return spin_rates(turning, trajectory.ends) - spin_rates(turning, trajectory.states[1:])
 
     def stepped(self, first: Array, changes: Array) -> _Unknowns:
         """The unknowns after a step; links keep their order and move by half a frame at most."""
@@ -562,17 +581,18 @@ class _Unknowns:
 
     def _flights(self, states: Array, covariances: Sequence[Array]) -> tuple[Flight, ...]:
         """The flights from packed states (flights, 14), each stated at its own beginning."""
-        gravity_m_s2, begins = self.observations.gravity_m_s2, np.append(self.observations.time_s[0], self.times_s)
+        begins = np.append(self.observations.time_s[0], self.times_s)
         ends = np.append(self.times_s, self.observations.time_s[-1])
         flights = []
         for k, numbers in enumerate(states):
             state, C = unpacked(numbers), covariances[k]
             if state.time_s != begins[k]:
                 # The free state of a chain or of a flight behind an open link is stated at its reference instant.
-                motion = Flight(state, np.inf, gravity_m_s2=gravity_m_s2)
+                motion = self.observations.flight(state)
                 transition = transition_matrix(motion, float(begins[k]))
                 state, C = motion.at(float(begins[k])), transition @ C @ transition.T
-            flights.append(Flight(state, float(ends[k]), (C + C.T) / 2.0, gravity_m_s2))
+            flight = self.observations.flight(state)
+            flights.append(replace(flight, end_s=float(ends[k]), covariance=(C + C.T) / 2.0))
         return tuple(flights)
 
     def _gradient_covariances(self, trajectory: _Trajectory, weights: Array, normal: Array) -> Array:

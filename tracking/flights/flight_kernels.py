@@ -5,23 +5,26 @@ A state is packed into 14 numbers: time, position, quaternion, velocity, angular
 
 from __future__ import annotations
 
-from math import atan2, cos, exp, sin, sqrt
-from typing import NamedTuple
+from math import cos, exp, sin, sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...model.compiled import compiled, inner
+from .turning import (
+    TINY_ROTATION,
+    begin,
+    mean_omega,
+    omega_after,
+    quaternion_after,
+    quaternion_product,
+    rotation_vector,
+    transition_after,
+)
 
 Array = NDArray[np.float64]
 
-JACOBIAN_SERIES_RAD = 1e-3
-"""Angle [rad] below which exponential and left Jacobian are series: exact to rounding there, where (v - sin v)/v³ has lost seven
-digits."""
-TINY_ROTATION = 1e-12
-"""Sine of half an angle, or an angle [rad], below which a rotation is converted to first order."""
-SMALL_ANGLE_RAD = 1e-9
-"""Angle [rad] of a flight below which sin(x/2)/x is 1/2."""
 MAX_STEPS = 12
 """Gauss-Newton steps of a single flight."""
 RELATIVE_GAIN = 1e-3
@@ -45,6 +48,8 @@ class PoseArrays(NamedTuple):
     """(n, 6, m) change of the pose for each of m errors that the whole clip shares."""
     gravity: float
     """[m/s²] along -z."""
+    turning: Any
+    """EvenTurning or TorqueFree."""
 
 
 class FrameInformation(NamedTuple):
@@ -77,7 +82,7 @@ class VertexImpacts(NamedTuple):
     rounding_m: Array
     """(S,) radius of that ball."""
     mass_over_inertia: Array
-    """(S,) m/J [1/m²]."""
+    """(S, 3, 3) m I⁻¹ [1/m²], body frame."""
 
 
 class ImpactEquations(NamedTuple):
@@ -94,12 +99,19 @@ class ImpactEquations(NamedTuple):
 @compiled(nogil=True)
 def residuals(poses: PoseArrays, shared: Array, cuts: NDArray[np.int64], states: Array, out: Array) -> None:
     """Fill the whitened residuals (n, 6) of frames: observed minus motion, shared errors subtracted."""
-    time, position, quaternion, W, bias_jacobian, gravity = poses
-    e = np.empty(6)
+    time, position, quaternion, W, bias_jacobian, gravity, turning = poses
+    e, ahead = np.empty(6), np.empty(4)
     for flight in range(len(states)):
         state = states[flight]
+        carried = begin(turning, state)
         for k in range(cuts[flight], cuts[flight + 1]):
-            _pose_residual(time[k], position[k], quaternion[k], gravity, state, e)
+            dt = time[k] - state[0]
+            for i in range(3):
+                e[i] = position[k, i] - state[1 + i] - dt * state[8 + i]
+            e[2] += 0.5 * gravity * dt * dt
+            w, x, y, z = quaternion_after(turning, carried, state, dt)
+            ahead[0], ahead[1], ahead[2], ahead[3] = w, x, y, z
+            e[3], e[4], e[5] = rotation_vector(ahead, quaternion[k])
             for j in range(len(shared)):
                 for b in range(6):
                     e[b] -= bias_jacobian[k, b, j] * shared[j]
@@ -139,13 +151,14 @@ def frame_information(poses: PoseArrays, share: Array, out: FrameInformation) ->
 
 @compiled(nogil=True)
 def normal_equations(
-    time: Array, frames: FrameInformation, residual: Array, weight: Array, cuts: NDArray[np.int64], states: Array,
+    poses: PoseArrays, frames: FrameInformation, residual: Array, weight: Array, cuts: NDArray[np.int64], states: Array,
     normal: Array, gradient: Array,
 ) -> None:  # fmt: skip
     """Add the normal equations of each flight to `normal` and `gradient`.
 
     With the information A of a frame on its pose, and D = (1, τ) for the position and (E, τJ) for the rotation, a frame adds
     Dᵀ A D: the twelve columns need not be whitened one by one."""
+    time, turning = poses.time_s, poses.turning
     information, to_gradient = frames.matrix, frames.to_gradient
     size = information.shape[1]
     m = size - 6
@@ -153,15 +166,12 @@ def normal_equations(
     rotation, AT, TAT = np.empty((3, 6)), np.empty((size, 6)), np.empty((6, 6))
     for flight in range(len(states)):
         state, N, g = states[flight], normal[flight], gradient[flight]
+        carried = begin(turning, state)
         for k in range(cuts[flight], cuts[flight + 1]):
             if weight[k] == 0.0:
                 continue
             dt = time[k] - state[0]
-            x, y, z = state[11] * dt, state[12] * dt, state[13] * dt
-            E, L = _rotation_matrices(x, y, z, sqrt(x * x + y * y + z * z), dt)
-            for i in range(3):
-                for j in range(3):
-                    rotation[i, j], rotation[i, 3 + j] = E[i, j], L[i, j]
+            transition_after(turning, carried, dt, rotation)
             for a in range(size):
                 total = 0.0
                 for i in range(6):
@@ -223,9 +233,12 @@ def gradient_covariance(
     time, W, bias_jacobian = poses.time_s, poses.whitener, poses.bias_jacobian
     m = bias_jacobian.shape[2]
     size = 12 + m
-    rows, before = np.empty((6, size)), np.zeros((6, size))
+    rows, before, rotation = np.empty((6, size)), np.zeros((6, size)), np.empty((3, 6))
+    carried = begin(poses.turning, state)
     for k in range(len(time)):
-        _frame_jacobian(time[k], W[k], bias_jacobian[k], state, rows)
+        dt = time[k] - state[0]
+        transition_after(poses.turning, carried, dt, rotation)
+        _frame_jacobian(dt, rotation, W[k], bias_jacobian[k], rows)
         for i in range(6):
             for a in range(size):
                 rows[i, a] *= weight[k]
@@ -248,19 +261,17 @@ def gradient_covariance(
 
 
 @inner
-def _frame_jacobian(time: float, W: Array, bias_jacobian: Array, state: Array, rows: Array) -> None:
-    """Fill the rows of one frame: derivative of the whitened motion by the state (12,) and the shared errors (m,)."""
-    dt = time - state[0]
-    x, y, z = state[11] * dt, state[12] * dt, state[13] * dt
-    E, L = _rotation_matrices(x, y, z, sqrt(x * x + y * y + z * z), dt)
+def _frame_jacobian(dt: float, rotation: Array, W: Array, bias_jacobian: Array, rows: Array) -> None:
+    """Fill the rows of one frame: derivative of the whitened motion by the state (12,) and the shared errors (m,). `rotation` (3,
+    6) is that of the attitude."""
     for i in range(6):
         for j in range(3):
             rows[i, j] = W[i, j]
             rows[i, 6 + j] = dt * W[i, j]
             turned, spun = 0.0, 0.0
             for b in range(3):
-                turned += W[i, 3 + b] * E[b, j]
-                spun += W[i, 3 + b] * L[b, j]
+                turned += W[i, 3 + b] * rotation[b, j]
+                spun += W[i, 3 + b] * rotation[b, 3 + j]
             rows[i, 3 + j] = turned
             rows[i, 9 + j] = spun
         for j in range(bias_jacobian.shape[1]):
@@ -271,52 +282,31 @@ def _frame_jacobian(time: float, W: Array, bias_jacobian: Array, state: Array, r
 
 
 @inner
-def _pose_residual(time: float, position: Array, quaternion: Array, gravity: float, state: Array, e: Array) -> None:
-    """Fill the pose residual (6,) of one frame, observed minus motion: position [m], rotation vector [rad]."""
-    dt = time - state[0]
-    x, y, z = state[11] * dt, state[12] * dt, state[13] * dt
-    angle = sqrt(x * x + y * y + z * z)
-    for i in range(3):
-        e[i] = position[i] - state[1 + i] - dt * state[8 + i]
-    e[2] += 0.5 * gravity * dt * dt
-    half = sin(0.5 * angle) / angle if angle > SMALL_ANGLE_RAD else 0.5
-    q = _quaternion_product(cos(0.5 * angle), half * x, half * y, half * z, state[4], state[5], state[6], state[7])
-    w, a, b, c = _quaternion_product(
-        quaternion[0], quaternion[1], quaternion[2], quaternion[3], q[0], -q[1], -q[2], -q[3]
-    )
-    if w < 0.0:
-        w, a, b, c = -w, -a, -b, -c
-    sine = sqrt(a * a + b * b + c * c)
-    factor = 2.0 * atan2(sine, w) / sine if sine > TINY_ROTATION else 2.0
-    e[3], e[4], e[5] = factor * a, factor * b, factor * c
-
-
-@inner
-def _propagate_state(state: Array, time: float, gravity: float, out: Array, M: Array) -> None:
+def _propagate_state(state: Array, time: float, gravity: float, turning: Any, out: Array, M: Array) -> None:
     """Fill the state (14,) at another instant, and the transition matrix (12, 12) to it."""
     dt = time - state[0]
-    x, y, z = state[11] * dt, state[12] * dt, state[13] * dt
-    angle = sqrt(x * x + y * y + z * z)
-    E, L = _rotation_matrices(x, y, z, angle, dt)
-    half = sin(0.5 * angle) / angle if angle > SMALL_ANGLE_RAD else 0.5
-    q = _quaternion_product(cos(0.5 * angle), half * x, half * y, half * z, state[4], state[5], state[6], state[7])
+    carried, turned = begin(turning, state), np.zeros((6, 6))
+    for i in range(3):
+        turned[3 + i, 3 + i] = 1.0
+    transition_after(turning, carried, dt, turned)
     for i in range(14):
         out[i] = state[i]
     out[0] = time
     for i in range(3):
         out[1 + i] += dt * state[8 + i]
-        M[i, i], M[6 + i, 6 + i], M[9 + i, 9 + i], M[i, 6 + i] = 1.0, 1.0, 1.0, dt
+        M[i, i], M[6 + i, 6 + i], M[i, 6 + i] = 1.0, 1.0, dt
         for j in range(3):
-            M[3 + i, 3 + j], M[3 + i, 9 + j] = E[i, j], L[i, j]
+            M[3 + i, 3 + j], M[3 + i, 9 + j] = turned[i, j], turned[i, 3 + j]
+            M[9 + i, 3 + j], M[9 + i, 9 + j] = turned[3 + i, j], turned[3 + i, 3 + j]
     out[3] -= 0.5 * gravity * dt * dt
     out[10] -= gravity * dt
-    for i in range(4):
-        out[4 + i] = q[i]
+    out[4], out[5], out[6], out[7] = quaternion_after(turning, carried, state, dt)
+    out[11], out[12], out[13] = omega_after(turning, carried, dt)
 
 
 @compiled(nogil=True)
 def propagate(
-    first: Array, times_s: Array, jumps: Array, is_open: NDArray[np.bool_], free: Array, gravity: float,
+    first: Array, times_s: Array, jumps: Array, is_open: NDArray[np.bool_], free: Array, gravity: float, turning: Any,
     out: ChainMotion,
 ) -> None:  # fmt: skip
     """Fill the states of a chain, flight by flight, with the transition matrix of each flight."""
@@ -324,7 +314,7 @@ def propagate(
     for i in range(14):
         states[0, i] = first[i]
     for k in range(len(times_s)):
-        _propagate_state(states[k], times_s[k], gravity, ends[k], transitions[k])
+        _propagate_state(states[k], times_s[k], gravity, turning, ends[k], transitions[k])
         for i in range(14):
             states[k + 1, i] = free[k, i] if is_open[k] else ends[k, i]
         if not is_open[k]:
@@ -358,25 +348,37 @@ def impact_equations(
     ends: Array, jumps: Array, impacts: VertexImpacts, table_m: float, contact_sigma_m: float, lever_sigma: Array,
     out: ImpactEquations,
 ) -> None:  # fmt: skip
-    """Fill the equations of each vertex impact, in sigmas: its lowest point lies on the table, and J Δω = m r × Δv."""
+    """Fill the equations of each vertex impact, in sigmas: its lowest point lies on the table, and Δω = m I⁻¹ (r × Δv)."""
     which, points, rounding, mass_over_inertia = impacts
     by_end, by_link, violation = out
     inner_point, arm, moves = np.empty(3), np.empty(3), np.empty(3)
+    torque, answer, turned_by = np.empty(3), np.empty(3), np.empty((3, 3))
     for s in range(len(which)):
         k = which[s]
-        w, x, y, z = ends[k, 4], ends[k, 5], ends[k, 6], ends[k, 7]
-        a, b, c = points[s, 0], points[s, 1], points[s, 2]
-        inner_point[0] = (1.0 - 2.0 * (y * y + z * z)) * a + 2.0 * (x * y - w * z) * b + 2.0 * (x * z + w * y) * c
-        inner_point[1] = 2.0 * (x * y + w * z) * a + (1.0 - 2.0 * (x * x + z * z)) * b + 2.0 * (y * z - w * x) * c
-        inner_point[2] = 2.0 * (x * z - w * y) * a + 2.0 * (y * z + w * x) * b + (1.0 - 2.0 * (x * x + y * y)) * c
+        R = _rotation_matrix(ends[k, 4], ends[k, 5], ends[k, 6], ends[k, 7])
+        # K = m R I⁻¹ Rᵀ: Δω = K (r × Δv).
+        K = _product(_product(R, mass_over_inertia[s]), R.T)
+        for i in range(3):
+            inner_point[i] = R[i, 0] * points[s, 0] + R[i, 1] * points[s, 1] + R[i, 2] * points[s, 2]
         arm[0], arm[1], arm[2] = inner_point[0], inner_point[1], inner_point[2] - rounding[s]
         turn = _cross_matrix(-inner_point[0], -inner_point[1], -inner_point[2])
         spin = _cross_matrix(ends[k, 11], ends[k, 12], ends[k, 13])
         push = _cross_matrix(jumps[k, 0], jumps[k, 1], jumps[k, 2])
-        lever = _cross_matrix(arm[0], arm[1], arm[2])
-        # δ(R p) = δθ × R p, and both p and R move on with the instant.
+        lever = _product(K, _cross_matrix(arm[0], arm[1], arm[2]))
         for i in range(3):
+            torque[i] = arm[(i + 1) % 3] * jumps[k, (i + 2) % 3] - arm[(i + 2) % 3] * jumps[k, (i + 1) % 3]
+        for i in range(3):
+            # δ(R p) = δθ × R p, and both p and R move on with the instant.
             moves[i] = spin[i, 0] * inner_point[0] + spin[i, 1] * inner_point[1] + spin[i, 2] * inner_point[2]
+            answer[i] = K[i, 0] * torque[0] + K[i, 1] * torque[1] + K[i, 2] * torque[2]
+        # δK t = δθ × K t - K (δθ × t), which is 0 for a spherical top.
+        pushed_lever = _product(K, push)
+        by_torque = _product(K, _cross_matrix(torque[0], torque[1], torque[2]))
+        by_answer = _cross_matrix(answer[0], answer[1], answer[2])
+        by_arm = _product(pushed_lever, turn)
+        for i in range(3):
+            for j in range(3):
+                turned_by[i, j] = by_arm[i, j] + by_answer[i, j] - by_torque[i, j]
         by_end[s, 0, 2] = 1.0 / contact_sigma_m
         by_link[s, 0, 0] = (moves[2] + ends[k, 10]) / contact_sigma_m
         violation[s, 0] = (ends[k, 3] + arm[2] - table_m) / contact_sigma_m
@@ -384,14 +386,32 @@ def impact_equations(
         for i in range(3):
             by_end[s, 0, 3 + i] = turn[2, i] / contact_sigma_m
             by_link[s, 1 + i, 4 + i] = tight
-            pushed = jumps[k, 3 + i]
+            violation[s, 1 + i] = tight * (jumps[k, 3 + i] - answer[i])
             for j in range(3):
-                total = push[i, 0] * turn[0, j] + push[i, 1] * turn[1, j] + push[i, 2] * turn[2, j]
-                by_end[s, 1 + i, 3 + j] = mass_over_inertia[s] * tight * total
-                by_link[s, 1 + i, 0] += mass_over_inertia[s] * tight * push[i, j] * moves[j]
-                by_link[s, 1 + i, 1 + j] = -mass_over_inertia[s] * tight * lever[i, j]
-                pushed -= mass_over_inertia[s] * lever[i, j] * jumps[k, j]
-            violation[s, 1 + i] = tight * pushed
+                by_end[s, 1 + i, 3 + j] = tight * turned_by[i, j]
+                by_link[s, 1 + i, 0] += tight * turned_by[i, j] * ends[k, 11 + j]
+                by_link[s, 1 + i, 1 + j] = -tight * lever[i, j]
+
+
+@inner
+def _product(a: Array, b: Array) -> Array:
+    """(3, 3) of two matrices."""
+    out = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                out[i, j] += a[i, k] * b[k, j]
+    return out
+
+
+@inner
+def _rotation_matrix(w: float, x: float, y: float, z: float) -> Array:
+    """(3, 3) of a unit quaternion."""
+    out = np.empty((3, 3))
+    out[0, 0], out[0, 1], out[0, 2] = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)
+    out[1, 0], out[1, 1], out[1, 2] = 2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)
+    out[2, 0], out[2, 1], out[2, 2] = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
+    return out
 
 
 @inner
@@ -404,47 +424,13 @@ def _cross_matrix(x: float, y: float, z: float) -> Array:
 
 
 @inner
-def _rotation_matrices(x: float, y: float, z: float, angle: float, dt: float) -> tuple[Array, Array]:
-    """exp(v) and dt J(v) of v = (x, y, z); a series below JACOBIAN_SERIES_RAD."""
-    square = angle * angle
-    if angle < JACOBIAN_SERIES_RAD:
-        sine, first, second = 1.0 - square / 6.0, 0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0
-    else:
-        sine = sin(angle) / angle
-        first, second = (1.0 - cos(angle)) / square, (angle - sin(angle)) / (square * angle)
-    v = (x, y, z)
-    E, L = np.empty((3, 3)), np.empty((3, 3))
-    cross = ((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0))
-    for i in range(3):
-        for j in range(3):
-            straight = 1.0 if i == j else 0.0
-            twice = v[i] * v[j] - square * straight
-            E[i, j] = straight + sine * cross[i][j] + first * twice
-            L[i, j] = dt * (straight + first * cross[i][j] + second * twice)
-    return E, L
-
-
-@inner
-def _quaternion_product(
-    aw: float, ax: float, ay: float, az: float, bw: float, bx: float, by: float, bz: float
-) -> tuple[float, float, float, float]:
-    """Hamilton product of two quaternions wxyz."""
-    return (
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    )
-
-
-@inner
 def _fit_flight(poses: PoseArrays, state: Array, inverse: Array) -> float:
     """Gauss-Newton through the frames of one flight with independent errors. Fills the state (14,) and the inverse normal matrix;
     returns the sum of squared sigmas."""
     time = poses.time_s
     n = len(time)
     states, trial = np.empty((1, 14)), np.empty((1, 14))
-    _initial_state(time, poses.position_m, poses.quaternion, poses.gravity, states[0])
+    _initial_state(poses, states[0])
     weight, none = np.ones(n), np.zeros(0)
     information = FrameInformation(np.empty((n, 6, 6)), np.empty((n, 6, 6)))
     frame_information(poses, np.ones(6), information)
@@ -455,7 +441,7 @@ def _fit_flight(poses: PoseArrays, state: Array, inverse: Array) -> float:
     chi2 = _sum_of_squares(residual)
     for _ in range(MAX_STEPS):
         normal, gradient = np.zeros((1, 12, 12)), np.zeros((1, 12))
-        normal_equations(time, information, residual, weight, cuts, states, normal, gradient)
+        normal_equations(poses, information, residual, weight, cuts, states, normal, gradient)
         _invert(normal[0], inverse)
         for a in range(12):
             step[a] = 0.0
@@ -484,7 +470,7 @@ def fit_flights(poses: PoseArrays, ends: NDArray[np.int64], states: Array, inver
         a, b = ends[group], ends[group + 1]
         frames = PoseArrays(
             poses.time_s[a:b], poses.position_m[a:b], poses.quaternion[a:b], poses.whitener[a:b], np.zeros((b - a, 6, 0)),
-            poses.gravity,
+            poses.gravity, poses.turning,
         )  # fmt: skip
         chi2[group] = _fit_flight(frames, states[group], inverses[group])
 
@@ -499,9 +485,10 @@ def _sum_of_squares(residual: Array) -> float:
 
 
 @inner
-def _initial_state(time: Array, position: Array, quaternion: Array, gravity: float, state: Array) -> None:
+def _initial_state(poses: PoseArrays, state: Array) -> None:
     """Fill an initial state at the middle frame: the mean spin between neighbours, and a line from the first to the last frame
     with the fall subtracted. Errors of the frames between cancel in both."""
+    time, position, quaternion, gravity = poses.time_s, poses.position_m, poses.quaternion, poses.gravity
     n = len(time)
     middle = n // 2
     t0 = time[middle]
@@ -509,17 +496,7 @@ def _initial_state(time: Array, position: Array, quaternion: Array, gravity: flo
     for i in range(4):
         state[4 + i] = quaternion[middle, i]
     span = max(time[n - 1] - time[0], 1e-12)
-    state[11], state[12], state[13] = 0.0, 0.0, 0.0
-    for k in range(n - 1):
-        a, b = quaternion[k], quaternion[k + 1]
-        w, x, y, z = _quaternion_product(b[0], b[1], b[2], b[3], a[0], -a[1], -a[2], -a[3])
-        if w < 0.0:
-            w, x, y, z = -w, -x, -y, -z
-        sine = sqrt(x * x + y * y + z * z)
-        factor = 2.0 * atan2(sine, w) / sine if sine > TINY_ROTATION else 2.0
-        state[11] += factor * x / span
-        state[12] += factor * y / span
-        state[13] += factor * z / span
+    state[11], state[12], state[13] = mean_omega(poses.turning, time, quaternion, middle)
     for i in range(3):
         fall = 0.5 * gravity if i == 2 else 0.0
         first = position[0, i] + fall * (time[0] - t0) ** 2
@@ -539,7 +516,7 @@ def _apply_change(state: Array, step: Array, out: Array) -> None:
         out[11 + i] += step[9 + i]
     angle = sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
     half = sin(0.5 * angle) / angle if angle > TINY_ROTATION else 0.5
-    q = _quaternion_product(
+    q = quaternion_product(
         cos(0.5 * angle), half * step[3], half * step[4], half * step[5], state[4], state[5], state[6], state[7]
     )
     length = sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)

@@ -1,9 +1,11 @@
 """One flight through the poses of its frames: exact motion, and errors that are correlated from frame to frame.
 
-In flight the motion is a parabola and a constant angular velocity ω. With E = exp(ω τ) and left (world) increments of a rotation,
-R_true = exp(δθ) R, a change of state changes the pose a time τ later by
+In flight the motion is a parabola and, of a spherical top, a constant angular velocity ω. With E = exp(ω τ) and left (world)
+increments of a rotation, R_true = exp(δθ) R, a change of state changes the pose a time τ later by
 
     δp(τ) = δp + τ δv          δθ(τ) = E δθ + τ J(ω τ) δω          J: left Jacobian of SO(3).
+
+A body with several moments of inertia turns by Euler's equations, and both matrices are integrated with them (`turning`).
 
 **Errors.** A frame's six errors, whitened by the covariance that the frame states (z = C^-½ e), are modelled as
 
@@ -22,8 +24,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.engine.asymmetric import TorqueFree
 from ...model.rotations import cross_matrix, matrix_from_quat, quat_from_rotvec, quat_multiply
-from ...model.throw import Flight, State
+from ...model.throw import EVEN, Flight, State, Turning, turns_in_flight
 from ...model.world import GRAVITY_M_S2
 from ..covariance import SINGULAR_EIGENVALUE
 from . import flight_kernels as kernels
@@ -88,11 +91,13 @@ class WeightedPoses:
     """(n, 6, m) change of the pose for each of m errors that the whole clip shares; m may be 0."""
     gravity_m_s2: float = GRAVITY_M_S2
     """With which the die falls, along -z."""
+    turning: Turning = EVEN
+    """How it turns."""
 
     @staticmethod
     def from_poses(
         time_s: Array, position_m: Array, quaternion: Array, covariance: Array, *, unmodelled: float = 1.0,
-        gravity_m_s2: float = GRAVITY_M_S2,
+        gravity_m_s2: float = GRAVITY_M_S2, turning: Turning = EVEN,
     ) -> WeightedPoses:  # fmt: skip
         """Poses of frames (n,) with their covariance (n, 6, 6).
 
@@ -101,7 +106,8 @@ class WeightedPoses:
         most = np.diag([UNMODELLED_POSITION_M**2] * 3 + [UNMODELLED_ROTATION_RAD**2] * 3)
         known = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
         C = np.where(known[:, None, None], np.where(known[:, None, None], covariance, 0.0) + unmodelled**2 * most, most)
-        return WeightedPoses(time_s, position_m, quaternion, _whiteners(C), np.zeros((len(time_s), 6, 0)), gravity_m_s2)
+        none_shared = np.zeros((len(time_s), 6, 0))
+        return WeightedPoses(time_s, position_m, quaternion, _whiteners(C), none_shared, gravity_m_s2, turning)
 
     def with_bias_jacobian(self, bias_jacobian: Array) -> WeightedPoses:
         """The same frames with errors (n, 6, m) that the clip shares."""
@@ -116,11 +122,12 @@ class WeightedPoses:
             self.whitener[which],
             self.bias_jacobian[which],
             self.gravity_m_s2,
+            self.turning,
         )
 
     def flight(self, state: State) -> Flight:
         """The flight of a die that falls as here, from a state on."""
-        return Flight(state, np.inf, gravity_m_s2=self.gravity_m_s2)
+        return Flight(state, np.inf, gravity_m_s2=self.gravity_m_s2, turning=self.turning)
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -161,8 +168,7 @@ def normal_equations(
     The unknowns are the twelve numbers of the state, then the m shared errors; entries beyond 12 + m stay zero. Frames count with
     their weight (n,); `information` is that of `frame_information`."""
     normal, gradient = np.zeros((len(states), size, size)), np.zeros((len(states), size))
-    time_s = np.ascontiguousarray(observations.time_s, np.float64)
-    kernels.normal_equations(time_s, information, residuals, weights, cuts, states, normal, gradient)
+    kernels.normal_equations(_arrays(observations), information, residuals, weights, cuts, states, normal, gradient)
     return normal, gradient
 
 
@@ -189,15 +195,16 @@ def gradient_covariances(
 
 
 def propagate_chain(
-    first: Array, times_s: Array, jumps: Array, is_open: NDArray[np.bool_], free: Array, gravity_m_s2: float
+    observations: WeightedPoses, first: Array, times_s: Array, jumps: Array, is_open: NDArray[np.bool_], free: Array
 ) -> ChainMotion:
-    """The motion of a chain of N + 1 flights.
+    """The motion of a chain of N + 1 flights of the die that is observed.
 
     The chain goes on from `first` (14,) over `jumps` (N, 6) of velocity and spin at `times_s` (N,), or with the state `free` (N,
     14) where a link is open."""
     n = len(times_s)
     motion = ChainMotion(np.empty((n + 1, 14)), np.empty((n, 14)), np.zeros((n, 12, 12)))
-    kernels.propagate(first, times_s, jumps, is_open, free, gravity_m_s2, motion)
+    fall = observations.gravity_m_s2, observations.turning
+    kernels.propagate(first, times_s, jumps, is_open, free, *fall, motion)
     return motion
 
 
@@ -208,8 +215,8 @@ def fit_flight(observations: WeightedPoses) -> tuple[State, Array, float]:
     """One flight through at least two frames with independent errors: its state at the middle frame, the covariance (12, 12) of
     that state, and the sum of squared sigmas.
 
-    Gauss-Newton on the exact motion, from the mean spin between neighbours and a line through the positions (fall subtracted),
-    until a step gains less than a thousandth."""
+    Gauss-Newton on the exact motion, from the mean spin (or angular momentum) between neighbours and a line through the
+    positions (fall subtracted), until a step gains less than a thousandth."""
     states, inverses, chi2 = _fitted(observations, np.array([0, len(observations)]))
     return unpacked(states[0]), inverses[0], float(chi2[0])
 
@@ -274,10 +281,14 @@ def left_jacobians(v: Array) -> Array:
 def pose_jacobian(flight: Flight, times_s: Array) -> Array:
     """Derivatives (n, 6, 12) of the pose at instants (n,) with respect to the flight's start state."""
     tau = np.asarray(times_s, float) - flight.start.time_s
-    turns = np.outer(tau, flight.start.omega_rad_s)
     M = np.zeros((len(tau), 6, 12))
     M[:, 0:3, 0:3] = np.eye(3)
     M[:, 0:3, 6:9] = tau[:, None, None] * np.eye(3)
+    if isinstance(flight.turning, TorqueFree):
+        turned = turns_in_flight(flight.turning, flight.start, tau).transitions
+        M[:, 3:6, 3:6], M[:, 3:6, 9:12] = turned[:, :3, :3], turned[:, :3, 3:]
+        return M
+    turns = np.outer(tau, flight.start.omega_rad_s)
     M[:, 3:6, 3:6] = matrix_from_quat(quat_from_rotvec(turns))
     M[:, 3:6, 9:12] = tau[:, None, None] * left_jacobians(turns)
     return M
@@ -287,12 +298,33 @@ def transition_matrices(flight: Flight, times_s: Array) -> Array:
     """Derivatives (n, 12, 12) of the state at instants (n,) with respect to the flight's start state."""
     M = np.tile(np.eye(12), (len(times_s), 1, 1))
     M[:, :6] = pose_jacobian(flight, times_s)
+    if isinstance(flight.turning, TorqueFree):
+        delays = np.asarray(times_s, float) - flight.start.time_s
+        turned = turns_in_flight(flight.turning, flight.start, delays).transitions
+        M[:, 9:12, 3:6], M[:, 9:12, 9:12] = turned[:, 3:, :3], turned[:, 3:, 3:]
     return M
 
 
 def transition_matrix(flight: Flight, time_s: float) -> Array:
     """Derivative (12, 12) of the state at one instant with respect to the flight's start state."""
     return np.asarray(transition_matrices(flight, np.array([time_s]))[0])
+
+
+def spin_rates(turning: TorqueFree, states: Array) -> Array:
+    """ω̇ (n, 3) [rad/s²] of a body in flight with packed states (n, 14): K⁻¹ (K ω × ω) with the tensor K in world axes."""
+    rotation = matrix_from_quat(quat_multiply(states[:, 4:8], turning.axes))
+    spin = np.einsum("nji,nj->ni", rotation, states[:, 11:14])
+    return np.einsum("nij,nj->ni", rotation, np.cross(turning.moments * spin, spin) / turning.moments)
+
+
+def spin_jumps(observations: WeightedPoses, starts: Sequence[State], times_s: Array) -> Array:
+    """(N, 3) [rad/s] by which the spin of each motion, given by its start, differs from that of the one before, at the instants
+    (N,) between them."""
+    if not isinstance(observations.turning, TorqueFree):
+        return np.diff([start.omega_rad_s for start in starts], axis=0).reshape(-1, 3)
+    motions = itertools.pairwise([observations.flight(start) for start in starts])
+    jumps = [b.at(t).omega_rad_s - a.at(t).omega_rad_s for (a, b), t in zip(motions, times_s.tolist(), strict=True)]
+    return np.array(jumps).reshape(-1, 3)
 
 
 def perturbed(state: State, change: Array) -> State:
@@ -328,6 +360,7 @@ def _arrays(observations: WeightedPoses) -> PoseArrays:
         np.ascontiguousarray(observations.whitener),
         np.ascontiguousarray(observations.bias_jacobian),
         float(observations.gravity_m_s2),
+        observations.turning,
     )
 
 

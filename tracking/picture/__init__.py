@@ -107,6 +107,7 @@ from .view import Array as Array
 from .view import Image as Image
 from .view import Lens as Lens
 from .view import View as View
+from .view import flight_from as flight_from
 from .view import make_view as make_view
 from .view import outline_box as outline_box
 from .view import outline_mask as outline_mask

@@ -13,6 +13,7 @@ from numba import config as numba_config
 from numpy.typing import NDArray
 
 from ...model.die import Die, inner_vertices, symmetry_rotations
+from ...model.throw import Flight, State, turning_of
 from ...model.world import GRAVITY_M_S2
 from ..camera import Camera
 from ..placed_die import (
@@ -268,6 +269,11 @@ def make_view(
         symmetry_rotations(die.solid), _shape_of(die), rig, unknown_light(len(rig.camera)),
         noise.rounding_grey, noise.level_grey, readout_s, gravity_m_s2=gravity_m_s2,
     )  # fmt: skip
+
+
+def flight_from(view: View, state: State) -> Flight:
+    """The free flight of the die in view, from a state on."""
+    return Flight(state, np.inf, gravity_m_s2=view.gravity_m_s2, turning=turning_of(view.die))
 
 
 def with_lens(view: View, lens: Lens) -> View:

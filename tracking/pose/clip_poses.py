@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.rotations import continuous_sign, matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotation_between
+from ...model.throw import turning_of
 from ..footage import FrameSource
 from ..picture import (
     CLEAR_PX,
@@ -200,7 +201,7 @@ def as_track(view: View, source: FrameSource, poses: ClipPoses, use: Mask | None
     jacobian[known] = np.where(np.isfinite(kept), kept, by_pixels)
     return Track(
         frames, exposure_times_s(view, source, poses), position, continuous_sign(quaternion), covariance, status, jacobian,
-        response_sigma=view.response_sigma, gravity_m_s2=view.gravity_m_s2,
+        response_sigma=view.response_sigma, gravity_m_s2=view.gravity_m_s2, turning=turning_of(view.die),
     )  # fmt: skip
 
 

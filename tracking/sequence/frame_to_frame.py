@@ -25,6 +25,7 @@ from ..picture import (
     PoseRows,
     View,
     Workspace,
+    flight_from,
     kept_light,
     new_workspace,
     share_in_view,
@@ -297,7 +298,7 @@ class FrameTracker:
         late = predicted_delay(self.view.rig, self.motion, dt, self.view.gravity_m_s2)
         time_s, dt = time_s + late, dt + late
         if self.clock[2] >= MIN_POSES_OF_FLIGHT:
-            gyration2 = self.view.die.inertia_kg_m2 / self.view.die.mass_kg
+            gyration2 = float(np.linalg.eigvalsh(self.view.die.tensor_kg_m2)[-1]) / self.view.die.mass_kg
             self._fastest_m_s = float(
                 np.sqrt((self.motion[3:6] ** 2).sum() + gyration2 * (self.motion[6:9] ** 2).sum())
             )
@@ -461,7 +462,7 @@ class FrameTracker:
             yield State(time_s, half, q, np.zeros(3), np.zeros(3)), 4
 
     def _flight(self, state: State) -> Flight:
-        return Flight(state, np.inf, gravity_m_s2=self.view.gravity_m_s2)
+        return flight_from(self.view, state)
 
     def _is_doubtful(self, pose: Pose, expected: State, P: Array) -> bool:
         """Whether a pose explains its picture worse than those before, and no known motion supports it."""

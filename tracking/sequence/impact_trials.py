@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die
-from ...model.throw import Flight, State
+from ...model.throw import Flight, State, turning_of
 from ..picture import SUPPORT_COST, View, region_costs
 from ..pose import Pose, same_picture, seen_distance_m
 from .acceptance import BOUNCE_REACH, HEIGHT_SIGMAS
@@ -67,7 +67,7 @@ def beyond_impacts(die: Die, last: State, time_s: float, gravity_m_s2: float) ->
         _, turn_rad = _stopping_impulse(die, last, i, dt)
         shares = max(TRIAL_SHARES, int(np.ceil((1.0 + likeliest) * turn_rad / (2.0 * TRIAL_SPACING_RAD))))
         for share in (np.arange(shares) + 0.5) / shares:
-            touch = Flight(last, np.inf, gravity_m_s2=gravity_m_s2).at(last.time_s + (1.0 - share) * dt)
+            touch = _flight(die, last, gravity_m_s2).at(last.time_s + (1.0 - share) * dt)
             if shares == TRIAL_SHARES or _touches(die, touch, i):
                 found += _beyond_impact(die, touch, i, dt, share, gravity_m_s2)
     for _, state in sorted(found, key=lambda trial: abs(np.log(trial[0] / likeliest))):
@@ -82,24 +82,34 @@ def _beyond_impact(
     impulse, turn_rad = _stopping_impulse(die, touch, corner, dt)
     if impulse * dt <= 0.0:
         return
-    lever = np.cross(touch.rotation @ die.solid.vertices[corner], [0.0, 0.0, 1.0])
+    spin = _spin_by_push(die, touch, corner)
     least, _, largest = _trial_range(dt > 0.0)
     number = max(LEAST_TRIALS, int(np.ceil((largest - least) * turn_rad / TRIAL_SPACING_RAD)))
     for ratio in np.linspace(least, largest, number):
         velocity = touch.velocity_m_s + np.array([0.0, 0.0, (1.0 + ratio) * impulse / die.mass_kg])
-        omega = touch.omega_rad_s + (1.0 + ratio) * impulse * lever / die.inertia_kg_m2
+        omega = touch.omega_rad_s + (1.0 + ratio) * impulse * spin
         after = replace(touch, velocity_m_s=velocity, omega_rad_s=omega)
-        yield float(ratio), Flight(after, np.inf, gravity_m_s2=gravity_m_s2).at(touch.time_s + share * dt)
+        yield float(ratio), _flight(die, after, gravity_m_s2).at(touch.time_s + share * dt)
+
+
+def _flight(die: Die, state: State, gravity_m_s2: float) -> Flight:
+    return Flight(state, np.inf, gravity_m_s2=gravity_m_s2, turning=turning_of(die))
+
+
+def _spin_by_push(die: Die, state: State, corner: int) -> Array:
+    """(3,) [rad/s] by which a vertical impulse of 1 N s on a corner changes the spin."""
+    lever = np.cross(state.rotation @ die.solid.vertices[corner], [0.0, 0.0, 1.0])
+    return np.asarray(state.rotation @ np.linalg.solve(die.tensor_kg_m2, state.rotation.T @ lever))
 
 
 def _stopping_impulse(die: Die, state: State, corner: int, dt: float) -> tuple[float, float]:
     """The upward impulse [N s] that takes the normal velocity of a corner on the table, and the angle [rad] by which it turns the
     die over a frame interval."""
     arm = state.rotation @ die.solid.vertices[corner]
-    lever = np.cross(arm, [0.0, 0.0, 1.0])
+    spin = _spin_by_push(die, state, corner)
     normal = float(state.velocity_m_s[2] + np.cross(state.omega_rad_s, arm)[2])
-    impulse = -normal / (1.0 / die.mass_kg + float(lever @ lever) / die.inertia_kg_m2)
-    return impulse, abs(impulse * dt) * float(np.linalg.norm(lever)) / die.inertia_kg_m2
+    impulse = -normal / (1.0 / die.mass_kg + float(np.cross(spin, arm)[2]))
+    return impulse, abs(impulse * dt) * float(np.linalg.norm(spin))
 
 
 def _touches(die: Die, state: State, corner: int) -> bool:

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.rotations import quat_from_matrix, rotation_between
+from ...model.throw import turning_of
 from ..flights import WeightedPoses, fit_flight
 from ..footage import FrameSource
 from ..picture import View
@@ -516,7 +517,9 @@ def log_scatter(view: View, poses: ClipPoses, times_s: Array, rows: Rows) -> flo
         return 0.0
     position_m, quaternion = poses.position_m[rows], quat_from_matrix(poses.rotation[rows])
     exposed_s = times_s[rows] + view.exposure_delay_s(position_m)
-    seen = WeightedPoses.from_poses(exposed_s, position_m, quaternion, covariance, gravity_m_s2=view.gravity_m_s2)
+    seen = WeightedPoses.from_poses(
+        exposed_s, position_m, quaternion, covariance, gravity_m_s2=view.gravity_m_s2, turning=turning_of(view.die)
+    )
     _, _, chi2 = fit_flight(seen)
     return 0.5 * float(np.log(max(chi2 / (6 * len(rows) - 12), 1.0)))
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from ...model.rotations import matrix_from_quat, quat_from_matrix
-from ...model.throw import Flight, State
+from ...model.throw import State
 from ..clip_parameters import (
     BLUR_FRAMES,
     RADIUS_FRAMES,
@@ -28,7 +28,7 @@ from ..clip_parameters import (
     sample_in_flight,
 )
 from ..footage import FrameSource
-from ..picture import View, share_in_view, with_corner_radius, with_lens
+from ..picture import View, flight_from, share_in_view, with_corner_radius, with_lens
 from ..pose import ClipPoses, ManualInitialisation, as_track, same_picture, wholly_in_view
 from ..throw import NoFlightError, measure
 from ..track import Track
@@ -327,7 +327,7 @@ def _stays_in_view(view: View, source: FrameSource, poses: ClipPoses, k: int, st
     here, then = source.times_s[[k, k + step]].tolist()
     rotation, (velocity_m_s, omega_rad_s) = quat_from_matrix(poses.rotation[k]), np.split(poses.motion[k], 2)
     state = State(here, poses.position_m[k], rotation, velocity_m_s, omega_rad_s)
-    ahead = Flight(state, np.inf, gravity_m_s2=view.gravity_m_s2).at(then)
+    ahead = flight_from(view, state).at(then)
     return share_in_view(view, ahead.position_m, ahead.rotation) == 1.0
 
 

@@ -18,7 +18,7 @@ A numbering that is not clear is not reported: the die keeps its symmetric numbe
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 
 import cv2
@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from ...model.die import Die, Solid, numbered_solid, symmetry_rotations
+from ...model.die import Die, Solid, symmetry_rotations
 from .textures import SPLINE_TEXELS, FaceGrid, SurfaceMarks
 
 Array = NDArray[np.float64]
@@ -127,7 +127,7 @@ def with_numbers(die: Die, faces: FaceNumbers) -> Die:
     not all known. Vertices, and with them all poses, stay as they are."""
     if not faces.complete:
         return die
-    return replace(die, solid=numbered_solid(die.solid, [int(n) for n in faces.numbers if n is not None]))
+    return die.with_numbers([int(n) for n in faces.numbers if n is not None])
 
 
 def _symmetric(count: int, why: str) -> FaceNumbers:

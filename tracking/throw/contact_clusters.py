@@ -84,7 +84,7 @@ def resolve_cluster(
     the first of these; None if they cannot be resolved. `impacts` are those at each vertex."""
     before = _known_flight(observations, chain, range(k, -1, -1))
     after = _known_flight(observations, chain, range(k + 1, len(chain.flights)))
-    if before is None or after is None or not die.is_spherical_top:
+    if before is None or after is None or not die.is_nearly_centred:
         return None
     ends = int(_inliers(observations, chain, before)[-1]), int(_inliers(observations, chain, after)[0])
     fitted = []

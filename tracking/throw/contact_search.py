@@ -266,14 +266,14 @@ class _Sequence:
         """States behind smooth impacts."""
         arm = impact.arm(before.rotation)
         normal = normal_velocity(before, arm)
-        lever = np.cross(arm, [0.0, 0.0, 1.0])
+        spin = impact.spin_change(before.rotation, np.array([0.0, 0.0, 1.0]))
         if normal < 0.0:
             for chi in TRIAL_RESTITUTIONS:
-                impulse = -(1.0 + chi) * normal / (1.0 + impact.mass_over_inertia * lever @ lever)
+                impulse = -(1.0 + chi) * normal / (1.0 + float(np.cross(spin, arm)[2]))
                 yield replace(
                     before,
                     velocity_m_s=before.velocity_m_s + np.array([0.0, 0.0, impulse]),
-                    omega_rad_s=before.omega_rad_s + impulse * impact.mass_over_inertia * lever,
+                    omega_rad_s=before.omega_rad_s + impulse * spin,
                 )
 
     def _own_motions(self, before: State) -> Iterator[State]:

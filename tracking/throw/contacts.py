@@ -438,11 +438,12 @@ def _has_known_flights(observations: WeightedPoses, chain: FlightChain, k: int) 
 
 
 def vertex_impacts(die: Die) -> list[VertexImpact]:
-    """An impact at each vertex; none for an asymmetric body, whose impacts the conditions do not describe."""
-    if not die.is_spherical_top:
+    """An impact at each vertex; none for a die whose centre of mass is not its centroid: the conditions do not describe them."""
+    if not die.is_nearly_centred:
         return []
     inner = inner_vertices(die.solid, die.corner_radius_m)
-    return [VertexImpact(point, die.corner_radius_m, die.mass_kg / die.inertia_kg_m2) for point in inner]
+    mass_over_inertia = die.mass_kg * np.linalg.inv(die.tensor_kg_m2)
+    return [VertexImpact(point, die.corner_radius_m, mass_over_inertia) for point in inner]
 
 
 def _lowest(chain: FlightChain, k: int, impacts: Sequence[VertexImpact]) -> list[VertexImpact]:

@@ -296,7 +296,7 @@ def _resolved_chain(
 
 
 def _followed(some: WeightedPoses, parts: list[Rows], die: Die, priors: Priors) -> FlightChain | None:
-    """The chain of flights followed from contact to contact; None for an asymmetric body, whose impacts it does not describe."""
+    """The chain of flights followed from contact to contact; None where there are no `vertex_impacts`."""
     impacts = vertex_impacts(die)
     if not impacts or not parts:
         return None
@@ -304,10 +304,10 @@ def _followed(some: WeightedPoses, parts: list[Rows], die: Die, priors: Priors) 
 
 
 def _is_beyond_doubt(found: ResolvedChain, die: Die) -> bool:
-    """Whether every link is an impact (at a vertex, unless the body is asymmetric), most frames of each flight lie on it, and few
-    frames lie on none. A flight without frames leaves a doubt."""
+    """Whether every link is an impact (at a vertex, unless the centre of mass is elsewhere), most frames of each flight lie
+    on it, and few frames lie on none. A flight without frames leaves a doubt."""
     chain = found.chain
-    if any(link.is_open or (die.is_spherical_top and link.impact is None) for link in chain.links):
+    if any(link.is_open or (die.is_nearly_centred and link.impact is None) for link in chain.links):
         return False
     is_known = bool((chain.inlier_share(found.observations.time_s) >= KNOWN_FLIGHT_SHARE).all())
     return is_known and float((chain.weights == 0.0).mean()) < FEW_OUTLIERS
@@ -345,7 +345,7 @@ def weighted_poses(track: Track, use: NDArray[np.int64], unmodelled: float = 1.0
     own = track.covariance if track.pixel_covariance is None else track.pixel_covariance
     return WeightedPoses.from_poses(
         track.time_s[use], track.position_m[use], track.quaternion[use], own[use], unmodelled=unmodelled,
-        gravity_m_s2=track.gravity_m_s2,
+        gravity_m_s2=track.gravity_m_s2, turning=track.turning,
     )  # fmt: skip
 
 

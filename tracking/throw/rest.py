@@ -22,9 +22,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import median_filter
 
 from ...model.die import Die, inner_vertices
+from ...model.engine.asymmetric import TorqueFree
 from ...model.rotations import continuous_sign, matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
 from ...model.throw import Flight, State, Throw
-from ..flights import WeightedPoses
+from ..flights import WeightedPoses, fit_flights, pose_jacobian, unpacked
 from ..track import LOST, Track
 from .flight_segmentation import TABLE_REACH
 
@@ -183,9 +184,9 @@ def _row_behind_flights(observations: WeightedPoses, first: int, die: Die, windo
     decide; and whether these, enough of them behind the flights, show that the table supports the die from there on.
 
     Windows of `window` frames, then of twice and four times as many, are tested until most of them distinguish flight from
-    support. Shorter intervals between two flights are ignored. An asymmetric body does not keep its spin in flight, and is not
-    tested."""
-    n = len(observations) - first if die.is_spherical_top else 0
+    support. Shorter intervals between two flights are ignored. A die whose centre of mass is not its centroid is not tested: its
+    centroid does not fall freely."""
+    n = len(observations) - first if die.is_nearly_centred else 0
     while window <= n and observations.time_s[first + window - 1] - observations.time_s[first] < LONGEST_WINDOW_S:
         begins, free_chi2, support_chi2 = _accelerations(
             observations.rows(slice(first, len(observations))), window, die
@@ -211,26 +212,46 @@ def _accelerations(observations: WeightedPoses, window: int, die: Die) -> tuple[
     """
     begins = np.arange(0, len(observations) - window + 1, max(window // FIRST_WINDOW, 1))
     rows = begins[:, None] + np.arange(0, window, max(window // MAX_WINDOW_FRAMES, 1))
-    middle = rows[:, rows.shape[1] // 2, None]
-    tau = observations.time_s[rows] - observations.time_s[middle]
-    # Unknowns: pose (6), rates (6), downward acceleration (1), angular acceleration (3).
+    tau = observations.time_s[rows] - observations.time_s[rows[:, rows.shape[1] // 2, None]]
+    # Unknowns: the state (12), downward acceleration (1) and angular acceleration (3) in excess of free motion.
     A = np.zeros((*rows.shape, 6, 16))
-    A[..., :6] = np.eye(6)
-    A[..., 6:12] = tau[..., None, None] * np.eye(6)
+    departure, A[..., :12] = _about_free_motion(observations, rows, tau)
     A[..., 2, 12] = -0.5 * tau**2
     A[..., 3:, 13:] = 0.5 * tau[..., None, None] ** 2 * np.eye(3)
-    displacement = observations.position_m[rows] - observations.position_m[middle]
-    rotation = rotation_between(observations.quaternion[middle], observations.quaternion[rows])
     W = observations.whitener[rows]
     A = (W @ A).reshape(len(rows), -1, 16)
-    y = (W @ np.concatenate([displacement, rotation], axis=2)[..., None]).reshape(len(rows), -1)
+    y = (W @ departure[..., None]).reshape(len(rows), -1)
     inverse = np.linalg.inv(np.einsum("wip,wiq->wpq", A, A))
     found = np.einsum("wpq,wiq,wi->wp", inverse, A, y)
     variance = ((y - np.einsum("wip,wp->wi", A, found)) ** 2).sum(1) / (A.shape[1] - 16)
-    C = inverse[:, 12:, 12:] * variance[:, None, None]
-    excess = found[:, 12:] - np.array([observations.gravity_m_s2, 0.0, 0.0, 0.0])
+    C, excess = inverse[:, 12:, 12:] * variance[:, None, None], found[:, 12:]
     chi2 = np.einsum("wi,wi->w", excess, np.linalg.solve(C, excess[..., None])[..., 0])
     return begins, chi2, _least_support_chi2(C, die, observations.gravity_m_s2)
+
+
+def _about_free_motion(observations: WeightedPoses, rows: NDArray[np.int64], tau: Array) -> tuple[Array, Array]:
+    """Departures (w, k, 6) of the poses of windows of rows (w, k) from free motions, and their derivatives (w, k, 6, 12) by the
+    states of these; `tau` (w, k) [s] is the time since the middle of each window.
+
+    A spherical top turns evenly: the motion may be any, as that of a die which falls past the middle frame without velocity. Any
+    other body has its own free motion in each window."""
+    if isinstance(observations.turning, TorqueFree):
+        states, _ = fit_flights(observations, list(rows))
+        departures, derivatives = np.empty((*rows.shape, 6)), np.empty((*rows.shape, 6, 12))
+        for k, state in enumerate(states):
+            flight, times_s = observations.flight(unpacked(state)), observations.time_s[rows[k]]
+            positions, quaternions = flight.poses(times_s)
+            departures[k, :, :3] = observations.position_m[rows[k]] - positions
+            departures[k, :, 3:] = rotation_between(quaternions, observations.quaternion[rows[k]])
+            derivatives[k] = pose_jacobian(flight, times_s)
+        return departures, derivatives
+    middle = rows[:, rows.shape[1] // 2, None]
+    displacement = observations.position_m[rows] - observations.position_m[middle]
+    displacement[..., 2] += 0.5 * observations.gravity_m_s2 * tau**2
+    rotation = rotation_between(observations.quaternion[middle], observations.quaternion[rows])
+    by_pose = np.broadcast_to(np.eye(6), (*rows.shape, 6, 6))
+    by_state = np.concatenate([by_pose, tau[..., None, None] * np.eye(6)], axis=3)
+    return np.concatenate([displacement, rotation], axis=2), by_state
 
 
 def _least_support_chi2(C: Array, die: Die, gravity_m_s2: float) -> Array:
@@ -238,8 +259,10 @@ def _least_support_chi2(C: Array, die: Die, gravity_m_s2: float) -> Array:
     4, 4)."""
     longest = float(np.sqrt(die.solid.circumradius**2 - die.solid.inradius**2))
     lever = np.linspace(0.0, longest, LEVER_SAMPLES)
-    share = die.inertia_kg_m2 / (die.inertia_kg_m2 + die.mass_kg * lever**2)
-    angular = share * die.mass_kg * gravity_m_s2 * lever / die.inertia_kg_m2
+    # Of a body with several moments the largest, which gives way least.
+    inertia_kg_m2 = float(np.linalg.eigvalsh(die.tensor_kg_m2)[-1])
+    share = inertia_kg_m2 / (inertia_kg_m2 + die.mass_kg * lever**2)
+    angular = share * die.mass_kg * gravity_m_s2 * lever / inertia_kg_m2
     largest_variance = np.linalg.eigvalsh(C[:, 1:, 1:])[:, -1:]
     return np.asarray(((share * gravity_m_s2) ** 2 / C[:, :1, 0] + angular**2 / largest_variance).min(1))
 

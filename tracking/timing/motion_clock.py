@@ -41,8 +41,10 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.engine.asymmetric import TorqueFree
 from ...model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
-from ..flights import WeightedPoses, fit_states, left_jacobians
+from ...model.throw import Turning, turns_in_flight
+from ..flights import WeightedPoses, fit_states, left_jacobians, unpacked
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -351,6 +353,7 @@ class _Gaps:
     numbers: float
     """Measured numbers of both windows."""
     gravity_m_s2: float
+    turning: Turning
 
     @staticmethod
     def at(observations: WeightedPoses, rows: Rows, window: int) -> _Gaps:
@@ -361,7 +364,7 @@ class _Gaps:
         k = len(rows)
         return _Gaps(
             observations.time_s[rows - 1], observations.time_s[rows], states[:k], covariances[:k], states[k:],
-            covariances[k:], chi2[:k] + chi2[k:], 12.0 * window, observations.gravity_m_s2,
+            covariances[k:], chi2[:k] + chi2[k:], 12.0 * window, observations.gravity_m_s2, observations.turning,
         )  # fmt: skip
 
     def some(self, which: Rows) -> _Gaps:
@@ -369,6 +372,7 @@ class _Gaps:
         return _Gaps(
             self.from_s[which], self.to_s[which], self.states_before[which], self.covariances_before[which],
             self.states_behind[which], self.covariances_behind[which], self.residual_chi2[which], self.numbers, self.gravity_m_s2,
+            self.turning,
         )  # fmt: skip
 
     def likelihood(self, chi2: Array, parameters: int) -> Array:
@@ -408,11 +412,11 @@ class _Gaps:
 
     def _before(self, times_s: Array) -> tuple[Array, Array]:
         """The motions before the gaps at times (k,), with their covariances."""
-        return _moved(self.states_before, self.covariances_before, times_s, self.gravity_m_s2)
+        return _moved(self.states_before, self.covariances_before, times_s, self.gravity_m_s2, self.turning)
 
     def _behind(self, times_s: Array) -> tuple[Array, Array]:
         """The motions behind them."""
-        return _moved(self.states_behind, self.covariances_behind, times_s, self.gravity_m_s2)
+        return _moved(self.states_behind, self.covariances_behind, times_s, self.gravity_m_s2, self.turning)
 
     def impact_chi2(self, late_s: Array | float) -> Array:
         """χ² (k,) for an impact in the gap, at the instant that makes it least, and frames behind that are later than
@@ -438,7 +442,9 @@ def _squares(vectors: Array, covariances: Array) -> Array:
     return np.asarray((vectors * np.linalg.solve(covariances, vectors[:, :, None])[:, :, 0]).sum(1))
 
 
-def _moved(states: Array, covariances: Array, times_s: Array, gravity_m_s2: float) -> tuple[Array, Array]:
+def _moved(
+    states: Array, covariances: Array, times_s: Array, gravity_m_s2: float, turning: Turning
+) -> tuple[Array, Array]:
     """Packed states (k, 14) and their covariances (k, 12, 12) in free flight at other times (k,)."""
     tau = (times_s - states[:, 0])[:, None]
     turn = tau * states[:, 11:14]
@@ -452,6 +458,12 @@ def _moved(states: Array, covariances: Array, times_s: Array, gravity_m_s2: floa
     T[:, 0:3, 6:9] = tau[:, :, None] * np.eye(3)
     T[:, 3:6, 3:6] = matrix_from_quat(quat_from_rotvec(turn))
     T[:, 3:6, 9:12] = tau[:, :, None] * left_jacobians(turn)
+    if isinstance(turning, TorqueFree):
+        for k, state in enumerate(states):
+            turns = turns_in_flight(turning, unpacked(state), tau[k])
+            out[k, 4:8], out[k, 11:14] = turns.quaternions[0], turns.omegas_rad_s[0]
+            attitude = np.ix_([k], [3, 4, 5, 9, 10, 11], [3, 4, 5, 9, 10, 11])
+            T[attitude] = turns.transitions
     return out, T @ covariances @ np.swapaxes(T, 1, 2)
 
 

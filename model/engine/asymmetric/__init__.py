@@ -42,5 +42,15 @@ endless: a die that stays in contact for 1000 √(R/g) without an impact is give
 
 from .event_loop import asymmetric_states_at as asymmetric_states_at
 from .event_loop import run_asymmetric_throw as run_asymmetric_throw
-from .tangent import attitudes_in_flight as attitudes_in_flight
 from .tangent import run_asymmetric_tangent as run_asymmetric_tangent
+from .torque_free import EvenTurning as EvenTurning
+from .torque_free import TorqueFree as TorqueFree
+from .torque_free import TurnInFlight as TurnInFlight
+from .torque_free import begin_turn as begin_turn
+from .torque_free import carry_turn as carry_turn
+from .torque_free import momentum_of_turn as momentum_of_turn
+from .torque_free import omega_of_momentum as omega_of_momentum
+from .torque_free import torque_free_turns as torque_free_turns
+from .torque_free import turn_transition as turn_transition
+from .torque_free import turned_omega as turned_omega
+from .torque_free import turned_quaternion as turned_quaternion

@@ -1,4 +1,4 @@
-"""A throw of an asymmetric body with its derivatives, for smooth impacts; equations in `throw.asymmetric_tangent`.
+"""A throw of an asymmetric body with its derivatives; equations in `throw.asymmetric_tangent`.
 
 Derivatives are of the centre of mass, the attitude, the velocity and the angular momentum L. With ω = W L and W = R I⁻¹ Rᵀ a
 turn δ of the attitude obeys δ' = W (δL - δ × L): linear equations that are integrated with the attitude itself. The jump across
@@ -23,36 +23,32 @@ from ..derivatives import (
     shifts_at_impact,
 )
 from ..flight import BELOW_TABLE, LEAST_BOUND, lever_arm, table_acceleration, table_velocity
-from ..impact import CHI, INERTIA, ParameterDerivatives
+from ..impact import ParameterDerivatives, wanted_columns
 from ..log import with_room, write_event
 from ..rest import chatter_speed
 from ..runge_kutta import STAGES, START, VALUES, stage_values
 from ..types import (
     CHATTER,
-    FALSE,
     IMPACT_CAP,
-    LEVEL,
     LOG_COLUMNS,
     NO_TOUCH,
     NONE,
     ROUNDING_BOUND,
     TIME_REACHED,
-    TRUE,
     Array,
     AsymmetricBody,
     Contact,
     Plane,
     Setup,
+    has_friction,
 )
 from .contact import spin_growth_bound
 from .event_loop import next_event
+from .impact import ASYMMETRIC_INPUTS, impulse_gradient
 from .motion import MAX_TURN_RAD, clearance, rotational_energy, state_after_step, vertex_velocity
 
 FIRST_ROWS = 16
 """Rows of the log that are allocated first; doubled where they are used up."""
-
-_INPUTS = 13
-"""Columns of the gradient of an impulse: those of `impact.impulse_gradient`, then the rotation vector (3)."""
 
 
 @inner
@@ -80,22 +76,23 @@ def _attitude_rates(body: AsymmetricBody, y: Array, values: Array, out: Array) -
 
 
 @inner
-def _attitude_step(body: AsymmetricBody, y: Array, dt: float, room: Array) -> None:
-    """One step of the attitude in flight, in place in `y`; leaves quaternion, Φ and Ψ of the step in `room[13]`.
+def attitude_step(body: AsymmetricBody, y: Array, flow: Array, dt: float, room: Array) -> None:
+    """One step of the attitude in flight, in place in `y` and in `flow` (22,): the quaternion, Φ and Ψ.
 
-    `room` (14, 22).
+    `room` (14, 22). Of the body only the moments count.
     """
     start, values = room[START], room[VALUES]
-    start[:] = 0.0
-    start[:4] = y[3:7]
-    start[4], start[8], start[12] = 1.0, 1.0, 1.0
+    for k in range(22):
+        start[k] = flow[k]
     for stage in range(STAGES + 1):
         stage_values(room, stage, dt, 22)
         if stage < STAGES:
             _attitude_rates(body, y, values, room[stage])
-    y[3:7] = values[:4] / sqrt(
-        values[0] * values[0] + values[1] * values[1] + values[2] * values[2] + values[3] * values[3]
-    )
+    length = sqrt(values[0] * values[0] + values[1] * values[1] + values[2] * values[2] + values[3] * values[3])
+    for k in range(22):
+        flow[k] = values[k] / length if k < 4 else values[k]
+    for k in range(4):
+        y[3 + k] = flow[k]
 
 
 @inner
@@ -115,10 +112,13 @@ def _fly(
     """
     spin = sqrt(2.0 * rotational_energy(body, y) / body.moments[0])
     steps = max(1, ceil(abs(dt) * spin / MAX_TURN_RAD))
+    now = np.empty(22)
     for _ in range(steps):
         ox, oy, oz = angular_velocity_of(body, y, y[10], y[11], y[12])
-        _attitude_step(body, y, dt / steps, room)
-        now = room[VALUES]
+        for k in range(22):
+            now[k] = y[3 + k] if k < 4 else 0.0
+        now[4], now[8], now[12] = 1.0, 1.0, 1.0
+        attitude_step(body, y, now, dt / steps, room)
         for j in range(tangent.shape[1]):
             dx, dy, dz = tangent[3, j], tangent[4, j], tangent[5, j]
             lx = tangent[9, j] - stiffer[j] * ox
@@ -145,37 +145,30 @@ def _fly(
 def _impact_with_tangent(
     setup: Setup, y: Array, time: float, i: int, derivatives: ImpactDerivatives, tangent: Array, dtime: Array
 ) -> None:
-    """Carry state and derivatives through the smooth impact of vertex i, in place; fills the gradient of `derivatives`.
+    """Carry state and derivatives through the impact of vertex i, in place; fills the gradient of `derivatives`.
 
     `dtime` (12 + m,) receives the derivative of the instant.
     """
     body, law, plane, _ = setup
-    chi, gradient = law.parameters[0], derivatives.gradient
-    x, r, z = lever_arm(body.vertices[i], y)
+    x, r, level = lever_arm(body.vertices[i], y)
+    z = level - body.corner_radius
     ox, oy, oz = angular_velocity_of(body, y, y[10], y[11], y[12])
     v_table = table_velocity(plane, time)
-    u = y[9] + ox * r - oy * x - v_table
-    # W t with the torque t = r × ẑ = (r_y, -r_x, 0) of a unit impulse.
-    ax, ay, az = angular_velocity_of(body, y, r, -x, 0.0)
-    softness = 1.0 / body.mass + r * ax - x * ay
-    s = -(1.0 + chi) * u / softness
-    by_softness = -s / softness
-    gradient[:] = 0.0
-    # δ(t·W t) = 2 δt·W t + 2 t·(δ × W t) - δI |W t|².
-    gradient[2, 0], gradient[2, 1] = -2.0 * by_softness * ay, 2.0 * by_softness * ax
-    gradient[2, 5] = -(1.0 + chi) / softness
-    gradient[2, CHI] = -u / softness
-    gradient[2, INERTIA] = -by_softness * (ax * ax + ay * ay + az * az)
-    gradient[2, 10], gradient[2, 11] = 2.0 * by_softness * x * az, 2.0 * by_softness * r * az
-    gradient[2, 12] = -2.0 * by_softness * (r * ay + x * ax)
-    impact = Impact(x, r, z, z, u, 0.0, 0.0, s, ox, oy, oz, s * ax, s * ay, s * az, body.mass, 1.0, 0.0)
+    c = (y[7] + oy * z - oz * r, y[8] + oz * x - ox * z, y[9] + ox * r - oy * x - v_table)
+    sx, sy, sz = impulse_gradient(law, body, y, (x, r, z), c, derivatives.wanted, derivatives.gradient)
+    tx, ty, tz = r * sz - z * sy, z * sx - x * sz, x * sy - r * sx
+    kx, ky, kz = angular_velocity_of(body, y, tx, ty, tz)
+    impact = Impact(x, r, z, level, c[2], sx, sy, sz, ox, oy, oz, kx, ky, kz, body.mass, 1.0, 0.0)
     kinematics = ImpactKinematics(
         v_table, table_acceleration(plane, time), plane.gx, plane.gy, -plane.g, 0.0, 0.0, 0.0, 0.0, 0.0
     )
     saltation(body, y, impact, kinematics, derivatives, tangent, tangent.shape[1], dtime)
-    y[9] += s / body.mass
-    y[10] += s * r
-    y[11] -= s * x
+    y[7] += sx / body.mass
+    y[8] += sy / body.mass
+    y[9] += sz / body.mass
+    y[10] += tx
+    y[11] += ty
+    y[12] += tz
 
 
 @inner
@@ -223,6 +216,7 @@ def _with_one_vertex(body: AsymmetricBody, i: int) -> AsymmetricBody:
         body.moments,
         body.radius,
         body.safe_tilt_cosines[i : i + 1],
+        body.corner_radius,
     )
 
 
@@ -236,7 +230,7 @@ def run_asymmetric_tangent(
     seed: Array,
     sources: ParameterDerivatives,
 ) -> tuple[int, Array, Array, Array, Array]:
-    """As `derivatives.run_tangent`, for smooth impacts of an asymmetric body.
+    """As `derivatives.run_tangent`, for impacts of an asymmetric body.
 
     `start` (13,) as for `run_asymmetric_throw`. `seed` (12, 12 + m) and all derivatives are of the centre of mass, and of L
     where those of a spherical body are of ω.
@@ -253,7 +247,8 @@ def run_asymmetric_tangent(
     stiffer[12:] = sources.inertia
     slow = chatter_speed(law, plane, precision, body.radius)
     shifts = np.empty((columns - 12, SHIFTS))
-    derivatives = ImpactDerivatives(np.empty((3, _INPUTS)), (TRUE, FALSE), FALSE, shifts, inf)
+    wanted = wanted_columns(law, np.any(sources.chi), np.any(sources.mu))
+    derivatives = ImpactDerivatives(np.empty((3, ASYMMETRIC_INPUTS)), wanted, has_friction(law), shifts, inf)
     last = times[n - 1] if n > 0 else start_time
     time, done, impacts, ending, fresh = start_time, 0, 0, TIME_REACHED, True
     while True:
@@ -303,22 +298,3 @@ def run_asymmetric_tangent(
         to_angular_velocity(body, y, shown)
         write_event(log[impacts], time, hit, before, shown, -1, -1, 0.0)
         impacts += 1
-
-
-@compiled
-def attitudes_in_flight(body: AsymmetricBody, start: Array, delays: Array) -> Array:
-    """Quaternions (n, 4) of the principal axes `delays` (n,) [s], of either sign, after a flight began.
-
-    `start` (13,) is a state as for `run_asymmetric_throw`.
-    """
-    y, flight, time = np.empty(13), Contact(body, LEVEL, NONE, NONE), 0.0
-    out, stages, now = np.empty((delays.shape[0], 4)), np.empty((14, 8)), np.empty(13)
-    for n in range(delays.shape[0]):
-        y[:] = to_angular_momentum(body, start)
-        spin = sqrt(2.0 * rotational_energy(body, y) / body.moments[0])
-        steps = max(1, ceil(abs(delays[n]) * spin / MAX_TURN_RAD))
-        for _ in range(steps):
-            state_after_step(flight, y, time, delays[n] / steps, stages, now)
-            y[:] = now
-        out[n] = y[3:7]
-    return out

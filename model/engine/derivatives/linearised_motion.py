@@ -257,7 +257,9 @@ def saltation(
                 dsy += gradient[1, k] * shift
                 dsz += gradient[2, k] * shift
         if gradient.shape[1] > INPUTS:
-            dsz += gradient[2, 10] * rx + gradient[2, 11] * ry + gradient[2, 12] * rz
+            dsx += gradient[0, INPUTS] * rx + gradient[0, INPUTS + 1] * ry + gradient[0, INPUTS + 2] * rz
+            dsy += gradient[1, INPUTS] * rx + gradient[1, INPUTS + 1] * ry + gradient[1, INPUTS + 2] * rz
+            dsz += gradient[2, INPUTS] * rx + gradient[2, INPUTS + 1] * ry + gradient[2, INPUTS + 2] * rz
         # ... and back: between the two instants the die moved with the velocities before, not those after.
         tangent[0, j] -= sx / mass * late
         tangent[1, j] -= sy / mass * late

@@ -11,6 +11,7 @@ from .app import app
 from .errors import RESUMABLE, checked_options, one_sentence_errors, stopped_with
 from .options import (
     Amplitude,
+    DieFile,
     Edge,
     Force,
     Frequency,
@@ -24,6 +25,7 @@ from .options import (
     Threads,
     ThrowFile,
     as_typed,
+    chosen_die,
     command_words,
     flag_words,
     run_on,
@@ -231,9 +233,10 @@ def film(
 )
 def odds(
     out: OutFolder,
-    shape: Shape = "cube",
-    edge: Edge = 0.02,
-    mass: Mass = 0.016,
+    die: DieFile = None,
+    shape: Shape = None,
+    edge: Edge = None,
+    mass: Mass = None,
     chi: Annotated[
         list[float] | None,
         typer.Option("--chi", help="Restitution, 0 to 1; repeat the option for a series each. [default: 0.5]"),
@@ -270,9 +273,7 @@ def odds(
             from ..model.laws import Table
 
             plan = OddsPlan(
-                shape=shape,
-                edge_m=edge,
-                mass_kg=mass,
+                die=chosen_die(die, shape, edge, mass),
                 chi=tuple(chi or (0.5,)),
                 omega_rad_s=omega,
                 conditions=conditions,
@@ -325,9 +326,10 @@ def basins(
     pixels: Annotated[
         tuple[int, int], typer.Option("--pixels", metavar="COLUMNS ROWS", help="Size of the map; one throw per pixel.")
     ] = (500, 500),
-    shape: Shape = "tetrahedron",
-    edge: Edge = 0.040793,
-    mass: Mass = 0.016,
+    die: DieFile = None,
+    shape: Shape = None,
+    edge: Edge = None,
+    mass: Mass = None,
     chi: Annotated[float, typer.Option("--chi", help="Restitution, 0 to 1.")] = 0.2,
     mu: Mu = None,
     amplitude: Amplitude = 0.0,
@@ -358,9 +360,7 @@ def basins(
                 x=horizontal,
                 y=vertical,
                 fixed=fixed_from(fix or []),
-                shape=shape,
-                edge_m=edge,
-                mass_kg=mass,
+                die=chosen_die(die, shape, edge, mass, usual=("tetrahedron", 0.040793)),
                 chi=chi,
                 mu=mu,
                 table=Table(amplitude_m=amplitude, frequency_hz=frequency, phase_rad=phase),
@@ -379,9 +379,10 @@ def basins(
 @app.command(epilog="Example:  diethrow lyapunov --shape tetrahedron --edge 0.040793 --orbits 8 --out out/lyapunov")
 def lyapunov(
     out: OutFolder,
-    shape: Shape = "cube",
-    edge: Edge = 0.02,
-    mass: Mass = 0.016,
+    die: DieFile = None,
+    shape: Shape = None,
+    edge: Edge = None,
+    mass: Mass = None,
     chi: Annotated[
         float, typer.Option("--chi", help="Restitution, 0 to 1; below 1 only an oscillating table has an exponent.")
     ] = 1.0,
@@ -418,9 +419,7 @@ def lyapunov(
             from ..model.laws import Table
 
             plan = LyapunovPlan(
-                shape=shape,
-                edge_m=edge,
-                mass_kg=mass,
+                die=chosen_die(die, shape, edge, mass),
                 chi=chi,
                 mu=mu,
                 table=Table(amplitude_m=amplitude, frequency_hz=frequency, phase_rad=phase),

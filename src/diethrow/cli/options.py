@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from ..files.scene import Scene
     from ..fitting.results import Choices, IntervalMethod
+    from ..model.die import Die
     from ..tracking.quality import Quality
     from ..tracking.timing import Timing
 
@@ -90,14 +91,49 @@ EmbedReplay = Annotated[
 Figures = Annotated[bool, typer.Option("--figures", help="Also write the report's figures as PNG and SVG to figures/.")]
 
 
-Shape = Annotated[str, typer.Option("--shape", help="tetrahedron, cube, octahedron, dodecahedron or icosahedron.")]
-Edge = Annotated[float, typer.Option("--edge", metavar="M", help="Edge of the die [m].")]
-Mass = Annotated[float, typer.Option("--mass", metavar="KG", help="Mass of the die [kg].")]
+DieFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--die", metavar="FILE", help="A scene or throw file, or any other with a [die] table: a die of any shape."
+    ),
+]
+Shape = Annotated[
+    str | None,
+    typer.Option("--shape", help="tetrahedron, cube, octahedron, dodecahedron or icosahedron; else see --die."),
+]
+Edge = Annotated[float | None, typer.Option("--edge", metavar="M", help="Edge of the die [m].")]
+Mass = Annotated[float | None, typer.Option("--mass", metavar="KG", help="Mass of the die [kg]. [default: 0.016]")]
 Mu = Annotated[float | None, typer.Option("--mu", help="Coulomb friction coefficient. [default: smooth impact]")]
 Amplitude = Annotated[float, typer.Option("--amplitude", metavar="M", help="Amplitude of the table's oscillation [m].")]
 Frequency = Annotated[float, typer.Option("--frequency", metavar="HZ", help="Frequency of the oscillation [Hz].")]
 Phase = Annotated[float, typer.Option("--phase", metavar="RAD", help="Phase of the oscillation at release [rad].")]
 Resume = Annotated[bool, typer.Option("--resume", help="Continue a stopped run with the same settings.")]
+
+
+USUAL_MASS_KG = 0.016
+
+
+def chosen_die(
+    file: Path | None,
+    shape: str | None,
+    edge_m: float | None,
+    mass_kg: float | None,
+    usual: tuple[str, float] = ("cube", 0.02),
+) -> Die:
+    """The die of a file, or of a shape with its edge and mass. Raises ValueError for both, and for an impossible die."""
+    if file is None:
+        from ..model.die import make_die
+
+        mass_kg = USUAL_MASS_KG if mass_kg is None else mass_kg
+        return make_die(shape or usual[0], usual[1] if edge_m is None else edge_m, mass_kg)
+    given = [name for name, value in (("--shape", shape), ("--edge", edge_m), ("--mass", mass_kg)) if value is not None]
+    if given:
+        raise ValueError(
+            f"{given[0]} beside --die: wanted one of the two, since the file gives shape, lengths and mass"
+        )
+    from ..files.die_and_table import read_die
+
+    return read_die(file)
 
 
 @contextmanager

@@ -141,7 +141,7 @@ def _tracked_throw(arrays: dict[str, NDArray], frames: Track, die: Die) -> Track
         arrays["flight_state"], arrays["flight_end_s"], arrays["flight_covariance"], strict=True
     ):
         known = covariance if np.isfinite(covariance).all() else None
-        flights.append(Flight(unpacked(state), float(end_s), known, frames.gravity_m_s2))
+        flights.append(Flight(unpacked(state), float(end_s), known, frames.gravity_m_s2, frames.turning))
     words = zip(arrays["impact_contact"], arrays["impact_vertices"], strict=True)
     impacts = [
         _impact(numbers, str(contact), str(vertices))

@@ -21,7 +21,18 @@ from ..model.rotations import matrix_from_quat, quat_from_euler
 from ..model.throw import State, checked_release
 from ..model.world import GRAVITY_M_S2
 from .die_and_table import ESTIMATE, DieTable, Table, TableTable, WorldTable, die_from, table_from
-from .settings import NotNegative, Positive, PositiveInt, TomlTable, Vector3, Vector4, read_toml, refuse, validate
+from .settings import (
+    FilesBeside,
+    NotNegative,
+    Positive,
+    PositiveInt,
+    TomlTable,
+    Vector3,
+    Vector4,
+    read_toml,
+    refuse,
+    validate,
+)
 
 Array = NDArray[np.float64]
 
@@ -51,6 +62,13 @@ class Plan:
     until_impacts: int | None
     fps: float
     """Rows of simulated.csv a second."""
+    mesh_path: Path | None = None
+    """The file of the die's mesh."""
+
+    @property
+    def inputs(self) -> tuple[Path, ...]:
+        """The files that describe the throw."""
+        return (self.path,) if self.mesh_path is None else (self.path, self.mesh_path)
 
     @property
     def law(self) -> SmoothImpact | CoulombImpact:
@@ -76,7 +94,7 @@ def read_plan(path: Path) -> Plan:
             ESTIMATE,
             "a simulated throw has no pictures to estimate from; wanted metres",
         )
-    die = die_from(checked.die, path)
+    die, mesh = die_from(checked.die, path, FilesBeside(path, allow_outside=True))
     release = _release(checked.initial, die, path)
     until = checked.until
     plan = Plan(
@@ -90,6 +108,7 @@ def read_plan(path: Path) -> Plan:
         until.time_s,
         until.impacts,
         checked.output.fps,
+        mesh,
     )
     try:
         checked_release(die, release, plan.model_table)
@@ -136,7 +155,7 @@ class _OutputTable(TomlTable):
 
 
 class _PlanFile(TomlTable):
-    die: DieTable = Field(description="a [die] table with shape, edge_m and mass_kg")
+    die: DieTable = Field(description="a [die] table with shape, its lengths (edge_m) and mass_kg")
     table: TableTable | None = Field(None, description='a [table] table, for example surface = "wood"')
     law: _LawTable = Field(description="a [law] table with chi")
     initial: _InitialTable = Field(description="an [initial] table with position_m, velocity_m_s, orientation and spin")

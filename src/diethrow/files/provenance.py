@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
+from ..model.die import Die
 from .csv_and_json import read_json, write_json
 
 PACKAGES = (
@@ -237,10 +238,18 @@ def package_versions() -> dict[str, str]:
     return {name: importlib.metadata.version(name) for name in PACKAGES}
 
 
+def die_record(die: Die) -> dict[str, Any]:
+    """What a result says of the die that was thrown, in the keys of a `[die]` table."""
+    record: dict[str, Any] = {"shape": die.solid.name, **die.solid.dimensions, "mass_kg": die.mass_kg}
+    return {**record, "corner_radius_m": die.corner_radius_m} if die.corner_radius_m else record
+
+
 def as_tables(value: Any) -> Any:
     """A frozen value as nested tables, by the names of its fields."""
     if is_dataclass(value) and not isinstance(value, type):
-        return {part.name: as_tables(getattr(value, part.name)) for part in fields(value)}
+        # A die with several moments of inertia has its tensor only.
+        there = [part.name for part in fields(value) if part.name in vars(value)]
+        return {name: as_tables(getattr(value, name)) for name in there}
     if isinstance(value, (list, tuple)):
         return [as_tables(part) for part in value]
     return value

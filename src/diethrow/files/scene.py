@@ -35,6 +35,7 @@ from ..tracking.throw import (
 from .csv_and_json import read_json
 from .die_and_table import ESTIMATE, DieTable, Table, TableTable, WorldTable, die_from, table_from
 from .settings import (
+    FilesBeside,
     Matrix3,
     NotNegative,
     NotNegativeInt,
@@ -66,6 +67,8 @@ EXACT = "exact"
 """Instead of a calibration's file: cameras of rendered clips."""
 SAME_NUMBER = 1e-6
 """Relative difference, and metres, up to which a scene and a calibration state the same: numbers may be rounded."""
+SMALL_RADIUS_SHARE = 0.01
+"""Radius of the corners, in inscribed radii, with which it is tried whether a solid can be rounded."""
 LARGEST_EDGE_SHARE = 0.1
 """Of an edge, as its standard error; a larger one is in another unit."""
 LARGEST_FPS_SHARE = 0.1
@@ -127,6 +130,13 @@ class Scene:
     """How the radius of the die's corners is found. Where the file does not give it, it is 0 in `die`."""
     edge_sigma_m: float | None = None
     """Standard error of the die's edge; None where the scene says nothing."""
+    mesh_path: Path | None = None
+    """The file of the die's mesh."""
+
+    @property
+    def settings_paths(self) -> tuple[Path, ...]:
+        """The scene file, and the mesh of its die."""
+        return (self.path,) if self.mesh_path is None else (self.path, self.mesh_path)
 
     def known_errors(self, interval_s: float | None) -> CalibrationErrors:
         """How well cameras, die and clock are known, with frames so far apart; None for a single frame, which has no rate. Where
@@ -198,17 +208,18 @@ def read_scene(path: Path, *, allow_outside: bool = False) -> Scene:
     if isinstance(data.get("camera"), dict):
         data["camera"] = [data["camera"]]
     checked = validate(_SceneFile, data, path)
-    files = _FilesOfScene(path, allow_outside)
+    files = FilesBeside(path, allow_outside)
     clip = _clip(checked.clip, path, files)
     several = len(checked.camera) > 1
     views = tuple(
         _view(table, f"camera[{k + 1}]" if several else "camera", clip, path, files)
         for k, table in enumerate(checked.camera)
     )
-    die = die_from(checked.die, path)
+    die, mesh = die_from(checked.die, path, files)
     start = _start(checked.start, clip, views, die, path) if checked.start is not None else None
     table = table_from(checked.table, checked.world)
-    return Scene(path, text, clip, views, die, table, start, _rounding(checked.die), _edge_sigma_m(checked.die, path))
+    edge_sigma_m = _edge_sigma_m(checked.die, die, path)
+    return Scene(path, text, clip, views, die, table, start, _rounding(checked.die, die, path), edge_sigma_m, mesh)
 
 
 # --- the file, as TOML tables ---
@@ -297,7 +308,8 @@ class _CameraTable(TomlTable):
 
 class _DieTable(DieTable):
     edge_sigma_m: NotNegative | None = Field(
-        None, description="the standard error of edge_m in metres, 0 or more; left out: 0.1 % of it"
+        None,
+        description="the standard error of edge_m, or of the mean edge, in metres, 0 or more; left out: 0.1 % of it",
     )
 
 
@@ -321,7 +333,7 @@ class _SceneFile(TomlTable):
     clip: _ClipTable = Field(description="a [clip] table with path and fps")
     camera: list[_CameraTable] = Field([], description="a [camera] table, or several [[camera]] tables")
     table: TableTable = Field(description='a [table] table, for example surface = "wood"')
-    die: _DieTable = Field(description="a [die] table with shape, edge_m and mass_kg")
+    die: _DieTable = Field(description="a [die] table with shape, its lengths (edge_m) and mass_kg")
     start: _StartTable | None = Field(None, description="a [start] table with frame, and a pose or corners")
     world: WorldTable = Field(WorldTable(gravity_m_s2=GRAVITY_M_S2), description="a [world] table with gravity_m_s2")
 
@@ -329,7 +341,7 @@ class _SceneFile(TomlTable):
 # --- from tables to values ---
 
 
-def _clip(table: _ClipTable, path: Path, files: _FilesOfScene) -> ClipSource:
+def _clip(table: _ClipTable, path: Path, files: FilesBeside) -> ClipSource:
     frame_s = 1.0 / table.fps if table.fps else np.inf
     if table.exposure_s and table.exposure_s > frame_s:
         guess = unit_guess(table.exposure_s, (1e-3, 1e-6), lambda exposure: exposure <= frame_s)
@@ -352,12 +364,13 @@ def _clip(table: _ClipTable, path: Path, files: _FilesOfScene) -> ClipSource:
     )
 
 
-def _edge_sigma_m(table: _DieTable, path: Path) -> float | None:
+def _edge_sigma_m(table: _DieTable, die: Die, path: Path) -> float | None:
     """The standard error of the edge. Raises SceneError for one that says nothing of it."""
-    most_m = LARGEST_EDGE_SHARE * table.edge_m
+    edge_m = table.edge_m or die.solid.edge_m
+    most_m = LARGEST_EDGE_SHARE * edge_m
     if table.edge_sigma_m is not None and table.edge_sigma_m > most_m:
         guess = unit_guess(table.edge_sigma_m, (1e-3, 1e-6), lambda sigma: sigma <= most_m)
-        wanted = f"wanted metres, at most a tenth of edge_m = {table.edge_m:g}{guess}"
+        wanted = f"wanted metres, at most a tenth of edge_m = {edge_m:g}{guess}"
         raise refuse(path, "die.edge_sigma_m", table.edge_sigma_m, wanted)
     return table.edge_sigma_m
 
@@ -407,43 +420,6 @@ def _check_clicks(clicks: tuple[Click, ...], views: tuple[View, ...], die: Die, 
             raise refuse(path, "start.corners.px", click.px, "wanted a place inside the picture, [x, y] in pixels")
 
 
-@dataclass(frozen=True)
-class _FilesOfScene:
-    """The files that a scene file names."""
-
-    scene_path: Path
-    allow_outside: bool
-
-    def existing(self, text: str | None, key: str, wanted: str) -> Path | None:
-        """The file that `text` names, relative to the scene file; a pattern such as `frames/*.png` must match something."""
-        if text is None:
-            return None
-        found = self.scene_path.parent / text
-        if not self.allow_outside and self._leaves(found):
-            reason = (
-                f"the path leads out of the scene's folder; wanted {wanted} and inside its folder, or --allow-outside"
-            )
-            raise refuse(self.scene_path, key, text, reason)
-        try:
-            there = found.exists()
-        except OSError as error:
-            raise refuse(self.scene_path, key, text, f"{error.strerror}; wanted {wanted}") from error
-        if there:
-            return found
-        if any(letter in found.name for letter in "*?[") and any(found.parent.glob(found.name)):
-            return found
-        raise refuse(self.scene_path, key, text, f"{found} does not exist; wanted {wanted}")
-
-    def _leaves(self, found: Path) -> bool:
-        """Whether the path itself leads out of the folder. A link inside the folder is followed: its owner made it, for
-        example to films on another disk."""
-        folder = self.scene_path.parent
-        if ".." in found.parts:  # a link before `..` decides where it leads
-            return not found.resolve().is_relative_to(folder.resolve())
-        inside = found.absolute()
-        return not (inside.is_relative_to(folder.absolute()) or inside.is_relative_to(folder.resolve()))
-
-
 def _check_picture(table: _CameraTable, key: str, path: Path) -> None:
     """Raise SceneError for a picture that no camera takes, before memory is taken for it."""
     if table.width * table.height > MAX_PIXELS:
@@ -451,7 +427,7 @@ def _check_picture(table: _CameraTable, key: str, path: Path) -> None:
         raise refuse(path, f"{key}.width and {key}.height", size, f"wanted {MAX_PIXELS} pixels at most")
 
 
-def _view(table: _CameraTable, key: str, clip: ClipSource, path: Path, files: _FilesOfScene) -> View:
+def _view(table: _CameraTable, key: str, clip: ClipSource, path: Path, files: FilesBeside) -> View:
     _check_picture(table, key, path)
     matrix = np.array(table.matrix, float)
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and matrix[1, 0] == 0 and (matrix[2] == (0.0, 0.0, 1.0)).all()):
@@ -472,7 +448,7 @@ def _view(table: _CameraTable, key: str, clip: ClipSource, path: Path, files: _F
 
 
 def _calibration(
-    given: str | None, camera: Camera, key: str, path: Path, files: _FilesOfScene
+    given: str | None, camera: Camera, key: str, path: Path, files: FilesBeside
 ) -> tuple[Array | None, Path | None]:
     """The covariance of a camera's parameters, and the file that it is from. Raises SceneError for a file that is none, or of
     another camera."""
@@ -564,8 +540,16 @@ def _sees_table(camera: Camera) -> bool:
     return bool((rays[:, 2] < 0).any())
 
 
-def _rounding(table: DieTable) -> CornerRounding:
-    """How the radius of the corners is found for a `[die]` table."""
+def _rounding(table: DieTable, die: Die, path: Path) -> CornerRounding:
+    """How the radius of the corners is found for a `[die]` table. Raises SceneError where it is to be estimated of a solid that
+    cannot be rounded by one radius."""
+    if not isinstance(table.corner_radius_m, float):
+        try:
+            die.with_corner_radius(SMALL_RADIUS_SHARE * die.solid.inradius)
+        except ValueError as error:
+            if table.corner_radius_m == ESTIMATE:
+                raise refuse(path, "die.corner_radius_m", ESTIMATE, f"{error}; wanted no such key") from error
+            return CornerRounding.GIVEN
     if table.corner_radius_m is None:
         return CornerRounding.TESTED
     return CornerRounding.ESTIMATED if table.corner_radius_m == ESTIMATE else CornerRounding.GIVEN

@@ -10,6 +10,7 @@ import difflib
 import json
 import tomllib
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
@@ -212,3 +213,40 @@ def unit_guess(value: float, factors: tuple[float, ...], fits: Callable[[float],
     """`; did you mean 0.016?` where one of the factors of units makes the value possible, else nothing."""
     guess = next((value * factor for factor in factors if fits(value * factor)), None)
     return "" if guess is None else f"; did you mean {guess:.6g}?"
+
+
+@dataclass(frozen=True)
+class FilesBeside:
+    """The files that a settings file names."""
+
+    settings_path: Path
+    allow_outside: bool
+
+    def existing(self, text: str | None, key: str, wanted: str) -> Path | None:
+        """The file that `text` names, relative to it; a pattern such as `frames/*.png` must match something."""
+        if text is None:
+            return None
+        found = self.settings_path.parent / text
+        if not self.allow_outside and self._leaves(found):
+            reason = (
+                f"the path leads out of the scene's folder; wanted {wanted} and inside its folder, or --allow-outside"
+            )
+            raise refuse(self.settings_path, key, text, reason)
+        try:
+            there = found.exists()
+        except OSError as error:
+            raise refuse(self.settings_path, key, text, f"{error.strerror}; wanted {wanted}") from error
+        if there:
+            return found
+        if any(letter in found.name for letter in "*?[") and any(found.parent.glob(found.name)):
+            return found
+        raise refuse(self.settings_path, key, text, f"{found} does not exist; wanted {wanted}")
+
+    def _leaves(self, found: Path) -> bool:
+        """Whether the path itself leads out of the folder. A link inside the folder is followed: its owner made it, for
+        example to films on another disk."""
+        folder = self.settings_path.parent
+        if ".." in found.parts:  # a link before `..` decides where it leads
+            return not found.resolve().is_relative_to(folder.resolve())
+        inside = found.absolute()
+        return not (inside.is_relative_to(folder.absolute()) or inside.is_relative_to(folder.resolve()))

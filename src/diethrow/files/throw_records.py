@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from ..model.die import Solid
 from ..model.rotations import continuous_sign
-from ..model.throw import Impact, Throw
+from ..model.throw import EVEN, Impact, Throw, Turning
 from ..model.world import GRAVITY_M_S2
 from ..tracking.track import ABSENT, LOST, TRACKED, Track
 from .csv_and_json import Table, read_table, write_table
@@ -99,8 +99,9 @@ def write_track(path: Path, track: Track) -> None:
     np.save(covariance_path(path), np.ascontiguousarray(track.covariance, np.float64), allow_pickle=False)
 
 
-def read_track(path: Path, gravity_m_s2: float = GRAVITY_M_S2) -> Track:
-    """The track at `path`, with the covariances in the file next to it, of a die that falls with `gravity_m_s2`.
+def read_track(path: Path, gravity_m_s2: float = GRAVITY_M_S2, turning: Turning = EVEN) -> Track:
+    """The track at `path`, with the covariances in the file next to it, of a die that falls with `gravity_m_s2`, and turns as a
+    spherical top or as `turning_of` the die says.
 
     Without `…_covariance.npy` the sigma columns make diagonal covariances; without those too, they are NaN. Raises
     FileNotFoundError, and ValueError with file, row, column and value for what is not a track.
@@ -125,7 +126,9 @@ def read_track(path: Path, gravity_m_s2: float = GRAVITY_M_S2) -> Track:
         k = int(np.flatnonzero(known)[np.argmax(abs(lengths - 1.0))])
         raise ValueError(f"{path}: qw to qz in row {k + 1} have length {np.linalg.norm(quaternion[k]):.6g}; wanted 1")
     covariance = _covariance(table, known)
-    return Track(frame, time_s, position, quaternion, covariance, status, gravity_m_s2=gravity_m_s2)
+    return Track(
+        frame, time_s, position, quaternion, covariance, status, gravity_m_s2=gravity_m_s2, turning=turning
+    )  # fmt: skip
 
 
 def covariance_path(track_path: Path) -> Path:

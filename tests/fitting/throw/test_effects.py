@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from intervals import assert_inside
-from throws import random_release, roughly_measured, seen, thrown, true_throw
+from throws import BRICK, random_release, roughly_measured, seen, thrown, true_throw
 
 from diethrow.fitting.estimation.observations import flight_observations
 from diethrow.fitting.free.flights import fit_flights
@@ -164,11 +164,17 @@ def test_flights_too_short_to_turn_do_not_determine_a_centre_of_mass() -> None:
     assert mass_offset_from_flights(fit_flights(two, measured)) is None
 
 
-def test_fits_of_one_throw_combine_a_loaded_die_with_smooth_impacts_only() -> None:
-    physics = Physics(CUBE, LEVEL, {"chi": 0.5}).with_effect("loaded die")
-    assert not physics.is_compatible_with("friction")
+def test_fits_of_one_throw_combine_what_the_model_has_derivatives_of() -> None:
+    fair = Physics(CUBE, LEVEL, {"chi": 0.5})
+    physics = fair.with_effect("loaded die")
+    assert physics.is_compatible_with("friction")
     assert physics.is_compatible_with("tilted table")
-    assert not Physics(CUBE, LEVEL, {"chi": 0.5}).with_effect("friction").is_compatible_with("loaded die")
+    assert not physics.is_compatible_with("air drag")
+    assert not physics.is_compatible_with("oscillating table")
+    assert not fair.with_effect("air drag").is_compatible_with("loaded die")
+    brick = Physics(BRICK, LEVEL, {"chi": 0.5})
+    assert brick.is_compatible_with("friction")
+    assert not any(brick.is_compatible_with(effect) for effect in ("inertia", "loaded die", "air drag"))
 
 
 def test_parameters_stay_within_their_bounds() -> None:

@@ -7,7 +7,8 @@ from scipy.stats import qmc
 
 from diethrow.model.die.die import die_from_solid, loaded_die, make_die
 from diethrow.model.die.mass_distribution import mass_distribution
-from diethrow.model.die.solid import SHAPES, convex_solid, inner_vertices, isohedral_solid, truncated_dipyramid
+from diethrow.model.die.named_solids import truncated_dipyramid
+from diethrow.model.die.solid import SHAPES, convex_solid, inner_vertices, isohedral_solid
 from diethrow.model.rotations import matrix_from_quat
 
 CORNERED = convex_solid([(0, 0, 0), (1, 0, 0), (0, 1.5, 0), (0, 0, 2)], "cornered")

@@ -8,13 +8,13 @@ from random_throws import DICE, random_quaternion
 
 from diethrow.model.die.die import Die, die_from_solid, loaded_die, make_die
 from diethrow.model.die.mass_distribution import mass_distribution
+from diethrow.model.die.named_solids import truncated_dipyramid
 from diethrow.model.die.solid import (
     SHAPES,
     convex_solid,
     inner_vertices,
     isohedral_solid,
     lowest_face,
-    truncated_dipyramid,
 )
 from diethrow.model.die.symmetry import symmetry_rotations
 from diethrow.model.rotations import matrix_from_quat

@@ -5,7 +5,8 @@ import pytest
 from random_throws import DICE, random_quaternion
 
 from diethrow.model.die.die import die_from_solid, loaded_die, make_die
-from diethrow.model.die.solid import SHAPES, convex_solid, isohedral_solid, truncated_dipyramid
+from diethrow.model.die.named_solids import truncated_dipyramid
+from diethrow.model.die.solid import SHAPES, convex_solid, isohedral_solid
 from diethrow.model.die.symmetry import (
     die_symmetries,
     inversion_rotation,

@@ -9,7 +9,8 @@ from scipy.integrate import quad, solve_ivp
 
 from diethrow.model import throw
 from diethrow.model.die.die import die_from_solid, loaded_die
-from diethrow.model.die.solid import convex_solid, isohedral_solid, truncated_dipyramid
+from diethrow.model.die.named_solids import truncated_dipyramid
+from diethrow.model.die.solid import convex_solid, isohedral_solid
 from diethrow.model.engine.types import (
     IMPACTS_REACHED,
     LEVEL,

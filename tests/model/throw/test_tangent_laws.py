@@ -9,11 +9,12 @@ from scipy.integrate import solve_ivp
 
 from diethrow.model import engine
 from diethrow.model.die.die import Die, die_from_solid, loaded_die, make_die
-from diethrow.model.die.solid import truncated_dipyramid
-from diethrow.model.laws import LEVEL, CoulombImpact, RestitutionBySpeed, SmoothImpact, Table
+from diethrow.model.die.named_solids import truncated_dipyramid
+from diethrow.model.laws import LEVEL, CoulombImpact, FrictionBySpeed, RestitutionBySpeed, SmoothImpact, Table
 from diethrow.model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
-from diethrow.model.throw.motion import State
+from diethrow.model.throw.motion import State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.model.throw.supported import BodyKind, body_kind
 from diethrow.model.throw.tangent import PARAMETERS, Propagation, propagate
 from diethrow.model.world import GRAVITY_M_S2
 
@@ -78,7 +79,16 @@ def a_throw(model: Model, seed: int, impacts: int) -> tuple[State, list[int], np
     """A release, the vertices of its first bounces, and times between them, not next to any."""
     die, law, table, _ = model
     start = random_release(np.random.default_rng(seed), die)
-    throw = throw_die(die, start, law, until=Until(impacts=impacts), table=table).throw
+    if body_kind(die) is BodyKind.ASYMMETRIC and not isinstance(law, SmoothImpact):
+        # No event loop follows such a die with such a law; its bounces follow each other as the derivatives' own kernel has it.
+        later = start.time_s
+        throw = run(model, start, np.array([later]), None).throw
+        while len(throw.impacts) < impacts + 1:
+            later += 0.01
+            throw = run(model, start, np.array([later]), None).throw
+        throw = Throw(throw.flights[: impacts + 1], throw.impacts[:impacts])
+    else:
+        throw = throw_die(die, start, law, until=Until(impacts=impacts), table=table).throw
     assert all(impact.contact == "vertex" for impact in throw.impacts)
     times = [np.linspace(f.start.time_s, f.end_s, 6)[1:-1] for f in throw.flights if f.end_s - f.start.time_s > 1e-3]
     return start, [impact.vertices[0] for impact in throw.impacts], np.concatenate(times)
@@ -138,11 +148,12 @@ def test_derivatives_on_a_level_table_at_rest_need_no_corner_radius():
         assert_derivatives((make_die("cube", 0.02, 0.016), law, LEVEL, 0.0), names, 7, 2e-6)
 
 
+@pytest.mark.parametrize("law", ["smooth", "smooth by speed", "stronge", "sticks", "rough by speed"])
 @pytest.mark.parametrize("table", [LEVEL, SWAYING], ids=["level", "swaying"])
 @pytest.mark.parametrize("name", TOPS)
-def test_derivatives_of_asymmetric_dice_agree_with_differences(name, table):
+def test_derivatives_of_asymmetric_dice_agree_with_differences(name, table, law):
     die = TOPS[name]
-    names = ("chi", *OF_CENTRE)
+    names = (*names_of(LAWS[law]), *OF_CENTRE)
     if name in ("fair", "off centre"):
         names += ("inertia_kg_m2",)
     if die.corner_radius_m:
@@ -150,7 +161,8 @@ def test_derivatives_of_asymmetric_dice_agree_with_differences(name, table):
     if table is SWAYING:
         names += ("tilt_x_rad", "tilt_y_rad", "table_amplitude_m", "table_frequency_hz", "table_phase_rad")
     # Steps of the attitude end elsewhere in each run: 1e-13 of jitter, multiplied by three impacts and over the step.
-    assert_derivatives((die, LAWS["smooth"], table, 0.0), names, 7, 1e-5)
+    # Nor does any of these throws graze the table, where differences of any step tell little.
+    assert_derivatives((die, LAWS[law], table, 0.0), names, 8 if name == "dipyramid" else 7, 1e-5)
 
 
 @pytest.mark.parametrize("law", [LAWS["smooth"], LAWS["stronge"]], ids=["smooth", "stronge"])
@@ -177,11 +189,15 @@ def test_the_propagated_throw_is_the_throw_of_the_event_loop(die, table, law):
         np.testing.assert_allclose(before, [i.energy_before_J for i in throw.impacts[: len(before)]], rtol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["loaded", "dipyramid", "off centre"])
-def test_the_propagated_throw_of_an_asymmetric_die_is_the_throw_of_the_event_loop(name):
-    model = (TOPS[name], LAWS["smooth"], SWAYING, 0.0)
+@pytest.mark.parametrize(
+    ("name", "law"),
+    [("loaded", "smooth"), ("dipyramid", "smooth"), *(("off centre", law) for law in LAWS)],
+)
+def test_the_propagated_throw_of_an_asymmetric_die_is_the_throw_of_the_event_loop(name, law):
+    """With friction and with laws by speed the event loop is that of one moment of inertia: two engines."""
+    model = (TOPS[name], LAWS[law], SWAYING, 0.0)
     start, vertices, times = a_throw(model, 7, 3)
-    throw = throw_die(TOPS[name], start, LAWS["smooth"], until=Until(impacts=3), table=SWAYING).throw
+    throw = throw_die(TOPS[name], start, LAWS[law], until=Until(impacts=3), table=SWAYING).throw
     positions, quaternions = throw.poses(times)
     for given in (vertices, None):
         result = run(model, start, times, given)
@@ -292,7 +308,8 @@ def test_unknown_parameters_and_negative_drag_raise_and_name_the_value():
         run(model, start, times, vertices, ("chi", "chi"))
     with pytest.raises(ValueError, match=r"drag_per_m = -1\.0"):
         run((*model[:3], -1.0), start, times, vertices)
-    with pytest.raises(ValueError, match="friction on a die with several moments of inertia"):
-        run((TOPS["loaded"], LAWS["stronge"], LEVEL, 0.0), start, times, vertices)
+    fading = FrictionBySpeed(LAWS["rough by speed"], 2.0)
+    with pytest.raises(ValueError, match="a friction by speed on a die with several moments of inertia"):
+        run((TOPS["loaded"], fading, LEVEL, 0.0), start, times, vertices)
     with pytest.raises(ValueError, match="air drag on a die with several moments of inertia"):
         run((TOPS["loaded"], LAWS["smooth"], LEVEL, 0.1), start, times, vertices)

@@ -183,7 +183,7 @@ def test_every_fault_has_its_verdict_its_number_and_what_to_change(
 def test_a_wrong_edge_and_a_wrong_rate_are_reported_with_their_factors() -> None:
     found = finding("scale", numbers(fall=tilted(0.0, 1.21)))
     # The die falls with k g where the edge is k times too large, and with k² g where the rate is k times too large.
-    assert "die.edge_m by 0.8264" in found.advice
+    assert "the lengths of [die] by 0.8264" in found.advice
     assert "clip.fps by 0.9091" in found.advice
 
 

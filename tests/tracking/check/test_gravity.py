@@ -45,7 +45,7 @@ def test_the_fall_of_a_well_measured_throw_is_gravity_within_its_covariance() ->
 def test_the_fall_gives_the_right_size_of_a_die_of_the_wrong_size(share: float) -> None:
     track, throw = seen_throw(1)
     (notice,) = fall_notices(measure_fall(scaled(track, share), throw))
-    factor = float(notice.split("die.edge_m by ")[1].split()[0])
+    factor = float(notice.split("the lengths of [die] by ")[1].split()[0])
     assert factor == pytest.approx(1.0 / share, rel=0.03)  # a sigma of the fall is near one per cent
 
 

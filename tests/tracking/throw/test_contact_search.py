@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from throws import FPS, blurred_in_time, impact_at, random_release, seen, true_throw, weighted_poses
+from throws import BRICK, FPS, blurred_in_time, impact_at, random_release, seen, true_throw, weighted_poses
 
 from diethrow.model.die import Die, make_die
 from diethrow.model.laws import SmoothImpact
@@ -41,7 +41,7 @@ def lone(throw: Throw, frame_s: float) -> list[int]:
     return [k for k in range(len(times)) if min(gaps[k], gaps[k + 1]) > LONE_FRAMES]
 
 
-@pytest.mark.parametrize("die", [CUBE, TETRA], ids=["cube", "tetrahedron"])
+@pytest.mark.parametrize("die", [CUBE, TETRA, BRICK], ids=["cube", "tetrahedron", "brick"])
 def test_lone_contacts_are_found_although_flights_between_have_few_frames(die: Die) -> None:
     """Poses six times as far off as large dice have them, with errors that stay for a frame, on a film of 375 frames a second.
     Without this search three of 16 contacts of the tetrahedra are missed."""
@@ -56,13 +56,14 @@ def test_lone_contacts_are_found_although_flights_between_have_few_frames(die: D
             wanted += 1
             found += bool((np.abs(times - throw.impacts[k].time_s) * FPS / 4.0 < 0.5).any())
     assert wanted >= 16
-    assert found > 0.94 * wanted
+    # Three of the bricks hop for a few frames only, which count as coming to rest.
+    assert found > (0.9 if die is BRICK else 0.94) * wanted
 
 
 def every_fourth(track: Track) -> Track:
     rows = slice(None, None, 4)
     values = (track.frame, track.time_s, track.position_m, track.quaternion, track.covariance, track.status)
-    return Track(*(value[rows] for value in values))
+    return Track(*(value[rows] for value in values), turning=track.turning)
 
 
 @pytest.mark.parametrize("correlated", [False, True])

@@ -12,7 +12,7 @@ from footage_of_throws import studio
 from numpy.typing import NDArray
 from random_throws import state_difference
 from scipy.signal import lfilter
-from throws import FPS, frame_covariance, impact_at, random_release, seen, true_throw, weighted_poses
+from throws import BRICK, FPS, frame_covariance, impact_at, random_release, seen, true_throw, weighted_poses
 
 from diethrow.model.die.die import Die, make_die
 from diethrow.model.die.symmetry import symmetry_rotations
@@ -24,9 +24,8 @@ from diethrow.model.rotations import (
     quat_multiply,
     rotation_between,
 )
-from diethrow.model.throw.motion import Flight, State, Throw
+from diethrow.model.throw.motion import Flight, State, Throw, turning_of
 from diethrow.model.throw.simulate import Until, throw_die
-from diethrow.model.world import GRAVITY_M_S2
 from diethrow.tracking.flights.flight_chain import (
     LEVER_SHARE,
     MIN_LEVER_SIGMA_RAD_S,
@@ -119,10 +118,10 @@ def test_the_first_order_cost_of_a_vertex_impact_is_that_of_its_fit(die: Die) ->
             assert min(first_order, found) > 100.0
 
 
-@pytest.mark.parametrize("die", [CUBE, ROUND], ids=["sharp", "round"])
+@pytest.mark.parametrize("die", [CUBE, ROUND, BRICK], ids=["sharp", "round", "brick"])
 def test_the_rows_of_a_vertex_impact_are_the_derivatives_of_its_conditions(die: Die) -> None:
     """With respect to the states on both sides and the instant; by central differences."""
-    throw, _ = bounced(die, LAWS["friction"], 3, 40)
+    throw, _ = bounced(die, LAWS["smooth"] if die is BRICK else LAWS["friction"], 3, 40)
     t, (before, behind) = throw.impacts[0].time_s, throw.flights
     impact = impact_at(die, throw.impacts[0].vertices[0])
     # A little off the conditions, so that no term is zero.
@@ -131,7 +130,8 @@ def test_the_rows_of_a_vertex_impact_are_the_derivatives_of_its_conditions(die: 
     steps = np.concatenate([np.tile(np.repeat([1e-7, 1e-6, 1e-5, 1e-3], 3), 2), [1e-8]])
 
     def violations(change: Array) -> Array:
-        sides = [Flight(perturbed(s, c), np.inf).at(t + change[24]) for s, c in ((a, change[:12]), (b, change[12:24]))]
+        starts = perturbed(a, change[:12]), perturbed(b, change[12:24])
+        sides = [Flight(start, np.inf, turning=before.turning).at(t + change[24]) for start in starts]
         # The tolerance of the spin depends on the present jump.
         new, scale = vertex_impact_equations(sides[0], sides[1], impact, 0.0)[1], np.ones(4)
         scale[1:] = lever(sides) / lever([a, b])
@@ -161,17 +161,20 @@ def test_a_vertex_impact_widens_no_standard_error_and_keeps_that_of_its_instant_
     assert 0.3 < np.mean(np.square(errors)) < 2.2  # twelve squared normals: 1 ± 0.41
 
 
-def test_a_propagated_state_is_that_of_its_flight() -> None:
+@pytest.mark.parametrize("die", [CUBE, BRICK], ids=["cube", "brick"])
+def test_a_propagated_state_is_that_of_its_flight(die: Die) -> None:
     rng = np.random.default_rng(2)
     state = State(
         0.2, rng.normal(size=3), quat_from_rotvec([0.3, -1.0, 0.4]), rng.normal(size=3), 90 * rng.normal(size=3)
     )
-    none, closed = np.zeros((1, 6)), np.zeros(1, bool)
+    none, closed, turning = np.zeros((1, 6)), np.zeros(1, bool), turning_of(die)
+    poses = np.zeros((1, 3)), np.eye(4)[:1], np.eye(6)[None]
+    observed = WeightedPoses.from_poses(np.zeros(1), *poses, turning=turning)
     for after in (-0.01, 0.0, 1e-7, 0.03):
         _, ends, transitions = propagate_chain(
-            packed(state), np.array([0.2 + after]), none, closed, np.zeros((1, 14)), GRAVITY_M_S2
+            observed, packed(state), np.array([0.2 + after]), none, closed, np.zeros((1, 14))
         )
-        there, flight = unpacked(ends[0]), Flight(state, np.inf)
+        there, flight = unpacked(ends[0]), Flight(state, np.inf, turning=turning)
         wanted = flight.at(0.2 + after)
         for name in ("position_m", "quaternion", "velocity_m_s", "omega_rad_s"):
             np.testing.assert_allclose(getattr(there, name), getattr(wanted, name), atol=1e-12)

@@ -229,7 +229,7 @@ def test_a_die_of_another_size_is_not_taken_for_a_contour_error() -> None:
     found = measure(far, make_die("cube", 0.0176, 0.0048), camera)
     assert len(found.chain.shared) == 0
     (notice,) = fall_notices(measure_fall(far, found.throw))
-    assert "die.edge_m by 0.909" in notice
+    assert "the lengths of [die] by 0.909" in notice
 
 
 def test_without_a_contour_error_none_is_found() -> None:

@@ -10,7 +10,7 @@ import pytest
 from footage_of_throws import DICE
 from numpy.typing import NDArray
 from random_throws import random_quaternion
-from throws import FPS, random_release, seen, true_throw
+from throws import BRICK, FPS, random_release, seen, true_throw
 
 from diethrow.model.die.die import Die, make_die
 from diethrow.model.rotations import angle_between, quat_from_rotvec, quat_multiply, rotation_between
@@ -45,12 +45,12 @@ def separate_impacts(die: Die, seed: int, count: int) -> tuple[Throw, np.random.
 
 @cache
 def measured() -> list[tuple[Throw, Throw]]:
-    """True and measured throws of three dice, two impacts each."""
+    """True and measured throws of four dice, two impacts each."""
     pairs = []
-    for shape in ("tetrahedron", "cube", "icosahedron"):
+    for die in (DICE["tetrahedron"], DICE["cube"], DICE["icosahedron"], BRICK):
         for seed in range(6):
-            throw, rng = separate_impacts(DICE[shape], seed, 2)
-            pairs.append((throw, measure_throw(seen(throw, rng), DICE[shape])))
+            throw, rng = separate_impacts(die, seed, 2)
+            pairs.append((throw, measure_throw(seen(throw, rng), die)))
     return pairs
 
 

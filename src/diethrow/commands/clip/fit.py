@@ -28,7 +28,7 @@ from ...fitting.results import USUAL_CHOICES, Choices, Fit
 from ...fitting.throw import fit_throw
 from ...model.die import Die
 from ...model.laws import Table as ModelTable
-from ...model.throw import Throw
+from ...model.throw import Throw, turning_of
 from ...replay.elements import Record
 from ...replay.pages import ReportDetails, write_figures, write_report
 from ...replay.recording import write_recording
@@ -51,8 +51,13 @@ def fit_track(
     the track (`files.measured_throw`) the result is that of `analyze`. Raises as `analyze`."""
     watch = Stopwatch()
     table = scene.table.in_model
-    frames = read_track(track_path, table.gravity_m_s2)
-    paths = (scene.path, track_path, *if_there(covariance_path(track_path)), *if_there(throw_path(track_path)))
+    frames = read_track(track_path, table.gravity_m_s2, turning_of(scene.die))
+    paths = (
+        *scene.settings_paths,
+        track_path,
+        *if_there(covariance_path(track_path)),
+        *if_there(throw_path(track_path)),
+    )
     with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, unchanged_inputs(paths) as inputs:
         tracked = read_measured_throw(track_path, frames, scene.die, scene.rounding)
         die = scene.given_die() if tracked is None else tracked.die

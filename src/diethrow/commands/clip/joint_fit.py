@@ -20,6 +20,7 @@ from ...files.scene import Scene
 from ...files.throw_records import covariance_path, read_track, write_vertices
 from ...fitting.dataset import Entry, JointFit, PredictedThrow, entry_of, fit_jointly
 from ...model.die import Die
+from ...model.throw import turning_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +56,7 @@ def fit_tracks(
     watch = Stopwatch()
     gravity_m_s2 = scene.still_table().gravity_m_s2
     die = scene.given_die()
-    inputs = (scene.path, *track_paths, *(p for p in map(covariance_path, track_paths) if p.exists()))
+    inputs = (*scene.settings_paths, *track_paths, *(p for p in map(covariance_path, track_paths) if p.exists()))
     with whole_folder(out, force=force, inputs=inputs) as folder:
         with watch.stage("read"):
             entries, left_out = _read(track_paths, die, gravity_m_s2, progress)
@@ -119,7 +120,7 @@ def _read(
     for k, path in enumerate(paths):
         progress("Reading the tracks", k, len(paths))
         try:
-            entries.append(entry_of(path.stem, read_track(path, gravity_m_s2), die))
+            entries.append(entry_of(path.stem, read_track(path, gravity_m_s2, turning_of(die)), die))
         except ValueError as error:
             reason = str(error).removeprefix(f"{path}: ").removeprefix(f"{path.stem}: ")
             left_out.append(f"{path} is left out: {reason}.")

@@ -27,6 +27,7 @@ from ...fitting.throw import Physics
 from ...model.die import Die
 from ...model.laws import Restitution, Table
 from ...model.rotations import angle_between, continuous_sign
+from ...model.throw import turning_of
 from ...tracking.track import Track
 
 FIRST_BOUNCE = "first-bounce"
@@ -75,7 +76,7 @@ def predict_tracks(
         raise ValueError(
             f"two tracks are called {max(names, key=names.count)}: wanted names that differ, one file each"
         )
-    inputs = (scene.path, fit_path, *track_paths, *_beside(track_paths))
+    inputs = (*scene.settings_paths, fit_path, *track_paths, *_beside(track_paths))
     predicted = partial(_predicted, track_paths, scene, law, from_frame, draws, progress)
     if len(track_paths) == 1:
         beside = out.with_suffix(".json")
@@ -132,7 +133,7 @@ def predict(path: Path, scene: Scene, law: Law, from_frame: str, draws: int) -> 
 
     Raises ValueError, with the reason, for a track that cannot be predicted from there."""
     table = scene.table.in_model
-    track = read_track(path, table.gravity_m_s2)
+    track = read_track(path, table.gravity_m_s2, turning_of(scene.die))
     tracked = read_measured_throw(path, track, scene.die, scene.rounding)
     physics = physics_of(law, scene.given_die() if tracked is None else tracked.die, table)
     row = first_bounce_row(track, physics.die) if from_frame == FIRST_BOUNCE else _row_of(track, int(from_frame))

@@ -158,7 +158,7 @@ def input_paths(scene: Scene) -> tuple[Path, ...]:
     clips = [file for view in scene.cameras if view.path is not None for file in clip_files(view.path)]
     backgrounds = [view.background_path for view in scene.cameras if view.background_path is not None]
     calibrations = [view.calibration_path for view in scene.cameras if view.calibration_path is not None]
-    return tuple(dict.fromkeys((scene.path, *clips, *backgrounds, *calibrations)))
+    return tuple(dict.fromkeys((*scene.settings_paths, *clips, *backgrounds, *calibrations)))
 
 
 def write_tracking(folder: Path, scene: Scene, tracking: Tracking) -> None:

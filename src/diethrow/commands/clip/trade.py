@@ -297,7 +297,7 @@ def _corners_apart_mm(run: Run, finest: Run) -> float | None:
     rows, others = np.flatnonzero(one.tracked)[a], np.flatnonzero(other.tracked)[b]
     die = finest.tracking.die
     # Plain faces have no names: one symmetry turns all of a track's labels into those of another.
-    turns = die_symmetries(replace(die, marks=None))
+    turns = die_symmetries(die.with_marks(None))
     shifts = one.position_m[rows] - other.position_m[others]
     apart = [
         np.median(

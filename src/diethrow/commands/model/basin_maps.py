@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from ...executors import width
 from ...files.csv_and_json import write_json
 from ...files.outputs import whole_folder
-from ...files.provenance import Stopwatch, write_provenance
+from ...files.provenance import Stopwatch, die_record, write_provenance
 from ...files.work_file import WorkFile
-from ...model.die import make_die
+from ...model.die import Die, make_die
 from ...model.ensembles import (
     ENDING_OF_INDEX,
     FIG_6_CONDITIONS,
@@ -68,9 +68,8 @@ class BasinsPlan:
     x: Axis
     y: Axis
     fixed: Mapping[str, float] = field(default_factory=lambda: dict(FIG_6_CONDITIONS))
-    shape: str = "tetrahedron"
-    edge_m: float = 0.040793
-    mass_kg: float = 0.016
+    die: Die = field(default_factory=lambda: make_die("tetrahedron", 0.040793, 0.016))
+    """The default is that of the paper's Fig. 6."""
     chi: float = 0.2
     mu: float | None = None
     table: Table = LEVEL
@@ -99,7 +98,7 @@ class BasinsPlan:
     @property
     def stage(self) -> ThrowSetup:
         """Die, law and table."""
-        return ThrowSetup(make_die(self.shape, self.edge_m, self.mass_kg), impact_law_of(self.chi, self.mu), self.table)
+        return ThrowSetup(self.die, impact_law_of(self.chi, self.mu), self.table)
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,7 +238,7 @@ def basins_table(plan: BasinsPlan, mapped: BasinMap, measured: Predictability | 
     below = int(endings[0])
     named = {ending.name.lower(): int(n) / pixels for ending, n in zip(ENDING_OF_INDEX, endings[1:], strict=True) if n}
     return {
-        "die": {"shape": plan.shape, "edge_m": plan.edge_m, "mass_kg": plan.mass_kg},
+        "die": die_record(plan.die),
         "chi": plan.chi,
         "mu": plan.mu,
         "x": _axis_table(plan.x),
@@ -311,7 +310,9 @@ def draw_map(path: Path, plan: BasinsPlan, mapped: BasinMap) -> None:
     ax = basin_map(figure.add_subplot(), plan.x, plan.y, face, ending, faces)
     friction = "" if plan.mu is None else f", μ = {plan.mu:g}"
     at = "" if plan.at_impact is None else f", lowest face at impact {plan.at_impact}"
-    ax.set_title(f"{plan.shape}, a = {1e3 * plan.edge_m:g} mm, χ = {plan.chi:g}{friction}{at}", loc="left")
+    ax.set_title(
+        f"{plan.die.solid.name}, a = {1e3 * plan.die.solid.edge_m:g} mm, χ = {plan.chi:g}{friction}{at}", loc="left"
+    )
     figure.savefig(path)
 
 
@@ -328,7 +329,7 @@ def draw_predictability(path: Path, plan: BasinsPlan, measured: Predictability) 
     left, right = figure.subplots(1, 2)
     uncertain_shares(left, measured.sensitivity, measured.exponent).set_title("predictability", loc="left")
     ball_measures(right, measured.balls).set_title("fairness by dynamics", loc="left")
-    figure.suptitle(f"{plan.shape}, χ = {plan.chi:g}, in the plane of {plan.x.name} and {plan.y.name}")
+    figure.suptitle(f"{plan.die.solid.name}, χ = {plan.chi:g}, in the plane of {plan.x.name} and {plan.y.name}")
     figure.savefig(path)
 
 

@@ -16,9 +16,9 @@ from scipy.special import chdtrc
 from ...executors import width
 from ...files.csv_and_json import write_json
 from ...files.outputs import whole_folder
-from ...files.provenance import Stopwatch, write_provenance
+from ...files.provenance import Stopwatch, die_record, write_provenance
 from ...files.work_file import Kept, WorkFile
-from ...model.die import make_die
+from ...model.die import Die
 from ...model.ensembles import (
     BLOCK,
     ENDING_OF_INDEX,
@@ -51,9 +51,7 @@ LEVEL_OF_INTERVALS = 0.95
 class OddsPlan:
     """The die, the law, the release conditions, and the number of throws."""
 
-    shape: str
-    edge_m: float
-    mass_kg: float
+    die: Die
     chi: tuple[float, ...]
     """One series of throws for each χ; all series have the same releases."""
     omega_rad_s: float
@@ -86,7 +84,8 @@ class OddsPlan:
     @property
     def drawn(self) -> Conditions:
         """The distribution of the releases."""
-        height = self.height_m or (HEIGHT_EDGES[0] * self.edge_m, HEIGHT_EDGES[1] * self.edge_m)
+        edge_m = self.die.solid.edge_m
+        height = self.height_m or (HEIGHT_EDGES[0] * edge_m, HEIGHT_EDGES[1] * edge_m)
         if self.conditions == "paper":
             return PaperConditions((0.0, self.omega_rad_s, 0.0), height)
         return UniformConditions(self.omega_rad_s, height)
@@ -94,8 +93,7 @@ class OddsPlan:
     @property
     def stages(self) -> tuple[ThrowSetup, ...]:
         """Die, law and table for each χ."""
-        die = make_die(self.shape, self.edge_m, self.mass_kg)
-        return tuple(ThrowSetup(die, impact_law_of(chi, self.mu), self.table) for chi in self.chi)
+        return tuple(ThrowSetup(self.die, impact_law_of(chi, self.mu), self.table) for chi in self.chi)
 
 
 def impact_law_of(chi: float, mu: float | None) -> ImpactLaw:
@@ -139,7 +137,7 @@ def odds(
 def odds_table(plan: OddsPlan, tallies: tuple[Tally, ...]) -> dict[str, Any]:
     """The contents of odds.json."""
     return {
-        "die": {"shape": plan.shape, "edge_m": plan.edge_m, "mass_kg": plan.mass_kg},
+        "die": die_record(plan.die),
         "level": LEVEL_OF_INTERVALS,
         "series": [{"chi": chi, "mu": plan.mu, **_series(tally)} for chi, tally in zip(plan.chi, tallies, strict=True)],
         "messages": [sentence for tally in tallies for sentence in _messages(tally)],
@@ -186,7 +184,7 @@ def draw_odds(path: Path, plan: OddsPlan, tallies: tuple[Tally, ...]) -> None:
 def _title(figure: Figure, plan: OddsPlan) -> None:
     spin = rf"$\omega_\eta$ = {plan.omega_rad_s:g}" if plan.conditions == "paper" else f"spin {plan.omega_rad_s:g}"
     friction = "" if plan.mu is None else f", μ = {plan.mu:g}"
-    figure.suptitle(f"{plan.shape}, {plan.throws:,} throws for each χ, {spin} rad/s{friction}; bars: 95 %")
+    figure.suptitle(f"{plan.die.solid.name}, {plan.throws:,} throws for each χ, {spin} rad/s{friction}; bars: 95 %")
 
 
 def _name(chi: float, tally: Tally) -> str:

@@ -8,6 +8,7 @@ DIR/scene.toml` analyses it, and `benchmarks/tracker.py` compares the analysis w
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -157,10 +158,12 @@ def film(
     remains.
     """
     watch = Stopwatch()
-    inputs = (plan.path, *((scene.path,) if scene else ()))
+    inputs = (*plan.inputs, *((scene.path,) if scene else ()))
     with whole_folder(out, force=force, inputs=inputs) as folder:
         with watch.stage("throw"):
             job = film_job(plan, scene, settings, Path(out).name)
+            if plan.mesh_path is not None:
+                shutil.copyfile(plan.mesh_path, folder / plan.mesh_path.name)
         with watch.stage("film"):
             write_clip(folder, job, progress)
         write_provenance(
@@ -239,7 +242,7 @@ def _die(plan: Plan, scene: Scene | None, settings: FilmSettings) -> Die:
         raise ValueError(
             f"corner_radius_m = {radius_m}: wanted at most {most:.4g}, {MAX_CORNER_RADIUS_FRACTION:g} inscribed radii"
         )
-    return replace(die.with_corner_radius(radius_m), marks=marks)
+    return die.with_corner_radius(radius_m).with_marks(marks)
 
 
 def _appearance(die: Die, camera: Camera, settings: FilmSettings) -> Appearance:
@@ -482,6 +485,7 @@ def scene_tables(camera: Camera, surface: str, die: Die) -> str:
     is_stated = die.is_spherical_top and not die.is_homogeneous
     inertia = f"inertia_kg_m2 = {die.inertia_kg_m2!r}\n" if is_stated else ""
     marks = f'marks = "{die.marks}"\n' if die.marks else ""
+    dimensions = "".join(f"{name} = {value!r}\n" for name, value in die.solid.dimensions.items())
     return f"""[camera]
 width = {camera.width_px}
 height = {camera.height_px}
@@ -496,7 +500,6 @@ surface = "{surface}"
 
 [die]
 shape = "{die.solid.name}"
-edge_m = {die.solid.edge_m!r}
-edge_sigma_m = 0.0
+{dimensions}edge_sigma_m = 0.0
 mass_kg = {die.mass_kg!r}
 {inertia}{radius}{marks}"""

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from ...files.csv_and_json import write_json
 from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, write_provenance
-from ...model.die import Die, make_die
+from ...model.die import Die
 from ...model.ensembles import ErrorGrowth, LyapunovExponents, ThrowSetup, error_growth, largest_lyapunov_exponent
 from ...model.laws import LEVEL, ImpactLaw, Table
 from ...model.rotations import matrix_from_quat, quat_from_euler
@@ -34,9 +34,7 @@ DRIFT_SIGMAS = 6.0
 class LyapunovPlan:
     """The die, the law, the table, the start, and the length of the orbits."""
 
-    shape: str
-    edge_m: float
-    mass_kg: float
+    die: Die
     chi: float = 1.0
     mu: float | None = None
     """Coulomb friction coefficient; None for the paper's smooth impact."""
@@ -61,11 +59,6 @@ class LyapunovPlan:
             )
         checked_release(self.die, self.start, self.table)
         assert self.law.parameters.size  # raises ValueError for impossible values
-
-    @property
-    def die(self) -> Die:
-        """The die that bounces."""
-        return make_die(self.shape, self.edge_m, self.mass_kg)
 
     @property
     def law(self) -> ImpactLaw:
@@ -183,7 +176,7 @@ def draw(path: Path, plan: LyapunovPlan, result: LyapunovExponents | ErrorGrowth
         growth_curve(ax, result.at_impacts)
     else:
         convergence(ax, result.logs, result.times_s, result.per_second, result.per_second_error)
-    ax.set_title(f"{plan.shape}, χ = {plan.chi:g}", fontsize="medium")
+    ax.set_title(f"{plan.die.solid.name}, χ = {plan.chi:g}", fontsize="medium")
     figure.savefig(path)
 
 
@@ -198,7 +191,7 @@ def summary(plan: LyapunovPlan, result: LyapunovExponents | ErrorGrowth) -> tupl
         f"  per impact       {result.per_impact:.5f} ± {result.per_impact_error:.5f}",
         f"  per √(edge/g)    {result.per_unit:.5f} ± {result.per_unit_error:.5f}",
     ]
-    if plan.shape in REPORTED and plan.chi == 1.0:
-        reported = REPORTED[plan.shape][plan.table.moves]
+    if plan.die.solid.name in REPORTED and plan.chi == 1.0:
+        reported = REPORTED[plan.die.solid.name][plan.table.moves]
         lines.append(f"  Kapitaniak et al. (2012) report {reported}, without a unit")
     return (*lines, *_messages(plan, result))

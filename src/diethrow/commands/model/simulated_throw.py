@@ -37,7 +37,7 @@ def throw(
     no folder remains.
     """
     watch = Stopwatch()
-    with whole_folder(out, force=force, inputs=(plan.path,)) as folder:
+    with whole_folder(out, force=force, inputs=plan.inputs) as folder:
         with watch.stage("throw"):
             until = Until(time_s=plan.until_s, impacts=plan.until_impacts)
             result = throw_die(plan.die, plan.release, plan.law, until=until, table=plan.model_table)
@@ -55,7 +55,7 @@ def throw(
                 title, sentences = plan.path.stem, table["messages"]
                 page = throw_page(title, plan.die, result.throw, sentences, folder / "replay.rrd")
                 (folder / "replay.html").write_text(page, encoding="utf-8")
-        write_provenance(folder, command=command, understood=plan, inputs=(plan.path,), seconds=watch.seconds)
+        write_provenance(folder, command=command, understood=plan, inputs=plan.inputs, seconds=watch.seconds)
     return result
 
 
