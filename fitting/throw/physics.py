@@ -38,6 +38,7 @@ from ...model.laws import (
     SmoothImpact,
     Table,
 )
+from ...model.rotations import quat_conjugate
 from ...model.throw import (
     SUPPORTED,
     Action,
@@ -50,7 +51,10 @@ from ...model.throw import (
     body_kind,
     body_of,
     checked_release,
+    needs_asymmetric_kernels,
     propagate,
+    rotated_state,
+    throw_asymmetric_die,
     throw_die,
 )
 from ...tracking.track import Track
@@ -374,7 +378,7 @@ class Physics:
         if packed is None:
             return None
         if not self.body.is_spherical_top:
-            return self._run_asymmetric(start, end_s, impacts)
+            return self._run_asymmetric(start, end_s, impacts, precision)
         law = engine.law_of(self.law.code, self.law.parameters)
         begin_s = float(start.time_s)
         _, _, face, _, _, log, _ = engine.run_throw(
@@ -394,10 +398,23 @@ class Physics:
             kind
         ]
 
-    def _run_asymmetric(self, start: State, end_s: float, impacts: int) -> Run:
+    def _run_asymmetric(self, start: State, end_s: float, impacts: int, precision: engine.Precision) -> Run:
         """The same for a loaded die, or one with several moments of inertia."""
         if not self.comes_to_rest:
             return self._run_bounces(start, end_s)
+        law = engine.law_of(self.law.code, self.law.parameters)
+        if needs_asymmetric_kernels(body_kind(self.body), law):
+            motion = throw_asymmetric_die(
+                self.body,
+                rotated_state(start, quat_conjugate(self.plane.world_from_table)) if self.plane.tilt_rad else start,
+                law,
+                plane=self.plane.plane,
+                precision=precision,
+                duration_s=end_s - float(start.time_s),
+                stop_when_decided=end_s == np.inf,
+                impact_cap=impacts,
+            )
+            return Run(motion.log[:, 1].astype(int), motion.landed_face)
         until = Until() if end_s == np.inf else Until(time_s=end_s, impacts=impacts)
         result = self.throw(start, until)
         vertices_hit = [impact.vertices[0] if impact.vertices else -1 for impact in result.throw.impacts]

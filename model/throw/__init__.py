@@ -6,6 +6,7 @@ its start and by parameters of die, law and table, for fits. `body_of` and the p
 `model.engine`.
 """
 
+from .asymmetric_throw import throw_asymmetric_die as throw_asymmetric_die
 from .body import MAX_STATE_COMPONENT as MAX_STATE_COMPONENT
 from .body import RELEASE_DEPTH_TOLERANCE as RELEASE_DEPTH_TOLERANCE
 from .body import asymmetric_body_of as asymmetric_body_of
@@ -25,6 +26,7 @@ from .motion import State as State
 from .motion import Throw as Throw
 from .motion import Turning as Turning
 from .motion import energy_J as energy_J
+from .motion import rotated_state as rotated_state
 from .motion import turning_of as turning_of
 from .motion import turns_in_flight as turns_in_flight
 from .simulate import BOUNCING_CAP as BOUNCING_CAP
