@@ -21,6 +21,7 @@ import diethrow.commands.clip.batch
 import diethrow.files.outputs
 from diethrow.cli.app import app
 from diethrow.commands.clip.batch import Batch, Standing, Task, is_finished, run_batch, tasks_of
+from diethrow.commands.clip.run_options import RunOptions
 from diethrow.executors import Processes, WorkerLostError
 from diethrow.files.outputs import OutputBusyError, OutputExistsError, locked
 
@@ -59,8 +60,11 @@ def broken_clip(folder: Path) -> Path:
     return scene
 
 
+FAST = RunOptions("fast")
+
+
 def track(scenes: list[Path], out: Path, executor: Executor | None = None, **more: object) -> Batch:
-    return run_batch(scenes, out, executor=executor or InLine(), stage="track", quality="fast", **more)  # type: ignore[arg-type]
+    return run_batch(scenes, out, executor=executor or InLine(), stage="track", options=FAST, **more)  # type: ignore[arg-type]
 
 
 def numbers_in(folder: Path) -> dict[str, bytes]:
@@ -126,16 +130,16 @@ def test_a_finished_clip_is_analysed_again_only_after_a_change(
     assert (batch.kept, again.calls) == (2, 1)  # the failed one is tried again
     assert numbers_in(out) == numbers_in(done)
 
-    whole = tasks_of(scenes, out, "track", "fast")[0]
+    whole = tasks_of(scenes, out, "track", FAST)[0]
     assert is_finished(whole)
-    assert not is_finished(Task(whole.scene, whole.folder, "track", "standard"))
-    assert not is_finished(Task(whole.scene, whole.folder, "analyze", "fast"))
+    assert not is_finished(Task(whole.scene, whole.folder, "track"))
+    assert not is_finished(Task(whole.scene, whole.folder, "analyze", FAST))
     moved = tmp_path / "moved"
     shutil.copytree(scenes[0].parent, moved)
-    assert is_finished(Task(moved / "scene.toml", whole.folder, "track", "fast"))
+    assert is_finished(Task(moved / "scene.toml", whole.folder, "track", FAST))
     with (moved / "clip.mraw").open("r+b") as pixels:
         pixels.write(b"\1")
-    assert not is_finished(Task(moved / "scene.toml", whole.folder, "track", "fast"))
+    assert not is_finished(Task(moved / "scene.toml", whole.folder, "track", FAST))
     monkeypatch.setattr(diethrow.commands.clip.batch, "__version__", "0.0.0")
     assert not is_finished(whole)
 

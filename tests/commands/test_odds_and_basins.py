@@ -231,10 +231,8 @@ def test_predictability_is_measured_and_written(tmp_path: Path, monkeypatch: pyt
     ("words", "message"),
     [
         (("odds", "--chi", 1.5), "chi = 1.5: wanted a coefficient of restitution"),
-        (("odds", "--conditions", "any"), "wanted one of paper, uniform"),
         (("odds", "--throws", 0), "wanted 1 throw or more"),
         (("odds", "--height", 0.001, 0.2), "could begin below the table"),
-        (("odds", "--shape", "cone"), "cone"),
         (("odds", "--omega", "nan"), "wanted finite numbers"),
         (("odds", "--mu", -1), "mu = -1.0: wanted a coefficient of friction"),
         (("basins", "--x", "z", 0, 1), "axis 'z': wanted one of z0"),

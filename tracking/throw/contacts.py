@@ -442,7 +442,7 @@ def vertex_impacts(die: Die) -> list[VertexImpact]:
     if not die.is_nearly_centred:
         return []
     inner = inner_vertices(die.solid, die.corner_radius_m)
-    mass_over_inertia = die.mass_kg * np.linalg.inv(die.tensor_kg_m2)
+    mass_over_inertia = np.asarray(die.mass_kg * np.linalg.inv(die.tensor_kg_m2), np.float64)
     return [VertexImpact(point, die.corner_radius_m, mass_over_inertia) for point in inner]
 
 

@@ -10,12 +10,14 @@ from typing import Annotated
 
 import typer
 
+from .logs import log_to_stderr
+
 app = typer.Typer(
     name="diethrow",
     help="Experiment against simulation for high-speed footage of thrown dice.",
     epilog="Example:  diethrow analyze data_samples/cube_wood/scene.toml --out out/cube_wood",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -39,5 +41,13 @@ def _program(
     version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and stop.")
     ] = False,
+    verbose: Annotated[
+        bool,
+        typer.Option(
+            "--verbose", "-v", help="Log every stage with its time, before the command: diethrow -v analyze ..."
+        ),
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no notes; errors alone.")] = False,
 ) -> None:
     """Experiment against simulation for high-speed footage of thrown dice."""
+    log_to_stderr(verbose, quiet)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -11,6 +11,8 @@ from .app import app
 from .errors import CLIPS_KEPT, FAILED, MISUSED, checked_options, one_sentence_errors, stop_with_status, stopped_with
 from .options import (
     AllowOutside,
+    AsJson,
+    ChiWithin,
     DieAndTable,
     EmbedReplay,
     Every,
@@ -25,31 +27,31 @@ from .options import (
     Scheduler,
     Shrink,
     Threads,
+    TradeFile,
     UsualFriction,
     as_typed,
+    check_half_width,
     checked_scene,
     choices_of,
     command_words,
     executor_for,
-    flag_words,
     given_option,
-    interval_method,
     output_words,
-    quality_of_name,
     run_on,
-    timing_of_name,
-    tracking_words,
     two_counts,
 )
 from .printing import (
+    batch_record,
     print_analysis,
     print_batch,
     print_camera,
     print_check,
     print_joint_fit,
+    print_json,
     print_notices,
     print_tracking,
     print_trade,
+    tell_setting,
 )
 from .progress import announce_for_workers, announcing, batch_bar, progress_bars
 
@@ -66,59 +68,41 @@ def analyze(
     shrink: Shrink = 1,
     timing: FrameTiming = "corrected",
     intervals: Intervals = "profile",
-    chi_within: Annotated[
-        float | None,
-        typer.Option(
-            "--chi-within", metavar="WIDTH", help="Use the fastest setting whose 95 % interval of χ is ± WIDTH."
-        ),
-    ] = None,
-    trade_file: Annotated[
-        Path | None,
-        typer.Option("--trade", metavar="TRADE.json", help="Measurements of diethrow trade on a similar scene."),
-    ] = None,
+    chi_within: ChiWithin = None,
+    trade_file: TradeFile = None,
     embed_replay: EmbedReplay = False,
     figures: Figures = False,
     allow_outside: AllowOutside = False,
+    as_json: AsJson = False,
     force: Force = False,
 ) -> None:
     """From clip to replay: track the die, find its bounces, fit the model; write tables, a recording and a report."""
     with one_sentence_errors():
         checked = checked_scene(scene, allow_outside)
-        from ..analysis import Shown
         from ..commands.clip.analyze import analyze as analyze_scene
-        from ..tracking.footage import Decimation
+        from ..commands.clip.run_options import RunOptions
         from .compiling import model_ahead
 
         with checked_options():
-            chosen, method, times = quality_of_name(quality), interval_method(intervals), timing_of_name(timing)
-        if trade_file is not None and chi_within is None:
-            stop_with_status(
-                "--trade needs --chi-within; state the wanted half-width of χ, as in --chi-within 0.01", MISUSED
-            )
+            check_half_width(chi_within, trade_file)
         with progress_bars() as progress:
             if chi_within is not None:
                 from ..commands.clip.trade import setting_for
 
                 quality, less = setting_for(checked, chi_within, trade_file, progress)
-                chosen, every, shrink = quality_of_name(quality), less.every, less.shrink
-                options = f"--quality {quality} --every {every} --shrink {shrink}"
-                typer.echo(f"diethrow: chosen for χ ± {chi_within:g}: {options}", err=True)
-        how = (*tracking_words(quality, every, shrink, timing), *given_option("--intervals", intervals, "profile"))
-        drawn = (*flag_words("--embed-replay", embed_replay), *flag_words("--figures", figures))
+                every, shrink = less.every, less.shrink
+                tell_setting(chi_within, quality, every, shrink)
+        options = RunOptions(quality, every, shrink, timing, intervals, embed_replay, figures)
         with progress_bars() as progress, model_ahead():
             result = analyze_scene(
                 checked,
                 out,
                 force=force,
-                quality=chosen,
-                decimation=Decimation(every, shrink),
-                intervals=method,
-                shown=Shown(embed_replay, figures),
-                timing=times,
                 progress=progress,
-                command=(*command_words("analyze", scene, out, force, allow_outside), *how, *drawn),
+                command=(*command_words("analyze", scene, out, force, allow_outside), *options.words("analyze")),
+                **options.arguments("analyze"),
             )
-        print_analysis(result)
+        print_analysis(result, as_json)
 
 
 @app.command(epilog="Example:  diethrow track clips/cube_wood/scene.toml --out out/track")
@@ -130,29 +114,26 @@ def track(
     shrink: Shrink = 1,
     timing: FrameTiming = "corrected",
     allow_outside: AllowOutside = False,
+    as_json: AsJson = False,
     force: Force = False,
 ) -> None:
     """The tracking stage alone: poses with covariances, and bounces."""
     with one_sentence_errors():
         checked = checked_scene(scene, allow_outside)
+        from ..commands.clip.run_options import RunOptions
         from ..commands.clip.track import track_only
-        from ..tracking.footage import Decimation
 
-        how = tracking_words(quality, every, shrink, timing)
-        with checked_options():
-            times = timing_of_name(timing)
+        options = RunOptions(quality, every, shrink, timing)
         with progress_bars() as progress:
             result = track_only(
                 checked,
                 out,
                 force=force,
-                quality=quality_of_name(quality),
-                decimation=Decimation(every, shrink),
-                timing=times,
                 progress=progress,
-                command=(*command_words("track", scene, out, force, allow_outside), *how),
+                command=(*command_words("track", scene, out, force, allow_outside), *options.words("track")),
+                **options.arguments("track"),
             )
-        print_tracking(result, out)
+        print_tracking(result, out, as_json)
 
 
 @app.command(
@@ -172,6 +153,7 @@ def fit(
     usual_friction: UsualFriction = None,
     threads: Threads = None,
     scheduler: Scheduler = None,
+    as_json: AsJson = False,
     force: Force = False,
 ) -> None:
     """The fitting stage alone, on any track with the columns of track.csv; of several, the shared parameters."""
@@ -193,7 +175,11 @@ def fit(
                 )
             from ..commands.clip.joint_fit import fit_tracks
 
-            print_joint_fit(run_on(scheduler, fit_tracks, tracks, checked, out, threads=threads, force=force))
+            joint = run_on(scheduler, fit_tracks, tracks, checked, out, threads=threads, force=force)
+            if as_json:
+                print_json(out / "fit.json")
+            else:
+                print_joint_fit(joint)
             return
         from ..commands.clip.fit import fit_track
 
@@ -202,7 +188,7 @@ def fit(
             result = fit_track(
                 tracks[0], checked, out, force=force, choices=choices, progress=progress, command=command
             )
-        print_analysis(result)
+        print_analysis(result, as_json)
 
 
 @app.command(
@@ -229,12 +215,13 @@ def predict(
             "--draws", min=0, help="Throws sampled for the odds of the faces. [default: 100 for one track, else 0]"
         ),
     ] = None,
+    as_json: AsJson = False,
     force: Force = False,
 ) -> None:
     """Predict throws: estimate the state from the frames before K and simulate to the last frame with a fit's parameters."""
     with one_sentence_errors():
         checked = checked_scene(scene, allow_outside=True)  # no footage is opened
-        from ..commands.clip.predict import predict_tracks, summary
+        from ..commands.clip.predict import predict_tracks, prediction_table, summary
         from ..fitting.predict import DRAWS
 
         drawn = (DRAWS if len(tracks) == 1 else 0) if draws is None else draws
@@ -242,6 +229,9 @@ def predict(
             made, left_out = predict_tracks(
                 tracks, checked, fit, out, from_frame=from_frame, draws=drawn, force=force, progress=progress
             )
+        if as_json:
+            print_json({"out": str(out), "throws": [prediction_table(one) for one in made], "left_out": left_out})
+            return
         typer.echo("\n".join(summary(made, checked.die)))
         print_notices(left_out)
         typer.echo(f"See {out}")
@@ -258,20 +248,42 @@ def batch(
     ] = None,
     scheduler: Scheduler = None,
     quality: Fineness = "standard",
+    every: Every = 1,
+    shrink: Shrink = 1,
+    timing: FrameTiming = "corrected",
+    intervals: Intervals = "profile",
+    chi_within: ChiWithin = None,
+    trade_file: TradeFile = None,
+    embed_replay: EmbedReplay = False,
+    figures: Figures = False,
     only_track: Annotated[
         bool, typer.Option("--only-track", help="Run the tracking stage alone, as diethrow track.")
     ] = False,
+    as_json: AsJson = False,
     allow_outside: AllowOutside = False,
 ) -> None:
     """Analyse many scenes: results.csv, failures.csv, and a folder for each scene.
 
-    A finished clip is analysed again only if its files, the version or the quality changed. The exit status is 1 if a clip
+    A finished clip is analysed again only if its files, the version or the options changed. The exit status is 1 if a clip
     failed. After Ctrl-C or a kill, the same command continues with the unfinished clips.
     """
     with one_sentence_errors(), stopped_with(CLIPS_KEPT):
         from ..commands.clip.batch import run_batch
+        from ..commands.clip.run_options import RunOptions
 
-        quality_of_name(quality)
+        with checked_options():
+            check_half_width(chi_within, trade_file)
+        if chi_within is not None:
+            if trade_file is None:
+                stop_with_status(
+                    "--chi-within of a batch needs --trade, the measurements of one scene for all; or run analyze for each",
+                    MISUSED,
+                )
+            from ..commands.clip.trade import setting_from
+
+            quality, less = setting_from(trade_file, chi_within)
+            every, shrink = less.every, less.shrink
+            tell_setting(chi_within, quality, every, shrink)
         if scheduler is None:
             announce_for_workers()
         with executor_for(scheduler) as executor, batch_bar() as progress:
@@ -281,11 +293,14 @@ def batch(
                 executor=executor,
                 workers=workers,
                 stage="track" if only_track else "analyze",
-                quality=quality,
+                options=RunOptions(quality, every, shrink, timing, intervals, embed_replay, figures),
                 allow_outside=allow_outside,
                 progress=progress,
             )
-        print_batch(result, out)
+        if as_json:
+            print_json(batch_record(result, out))
+        else:
+            print_batch(result, out)
         if result.failures:
             raise typer.Exit(FAILED)
 
@@ -304,6 +319,7 @@ def trade(
         int, typer.Option("--coverage", min=0, metavar="N", help="Simulated tracks per coverage rate; 0: none.")
     ] = 20,
     allow_outside: AllowOutside = False,
+    as_json: AsJson = False,
     force: Force = False,
 ) -> None:
     """Measure speed against accuracy on one scene: tracking, fit and model from coarse to fine, and the setting to use."""
@@ -311,6 +327,8 @@ def trade(
         checked = checked_scene(scene, allow_outside)
         from ..commands.clip.trade import trade as measure_trade
 
+        with checked_options():
+            check_half_width(chi_within)
         how = ("--chi-within", str(chi_within), *given_option("--coverage", coverage, 20))
         with progress_bars() as progress:
             result = measure_trade(
@@ -322,6 +340,9 @@ def trade(
                 progress=progress,
                 command=(*command_words("trade", scene, out, force, allow_outside), *how),
             )
+        if as_json:
+            print_json(out / "trade.json")
+            return
         print_trade(result)
         typer.echo(f"See {out / 'trade.html'}")
 
@@ -335,6 +356,7 @@ def check(
     ] = None,
     timing: FrameTiming = "corrected",
     allow_outside: AllowOutside = False,
+    as_json: AsJson = False,
     force: Force = False,
 ) -> None:
     """Check a clip before tracking: timing, blur, pixels, background, scale and vertical, each with a verdict.
@@ -343,14 +365,17 @@ def check(
     """
     with one_sentence_errors():
         checked = checked_scene(scene, allow_outside)
-        from ..commands.clip.check import check_clip
+        from ..commands.clip.check import check_clip, record
+        from ..commands.clip.run_options import RunOptions
 
-        with checked_options():
-            times = timing_of_name(timing)
+        times = RunOptions(timing=timing).arguments("track")["timing"]
         with announcing():
             result = check_clip(checked, out, timing=times, force=force, command=as_typed())
-        print_check(result)
-        if out is not None:
+        if as_json:
+            print_json(record(result))
+        else:
+            print_check(result)
+        if out is not None and not as_json:
             typer.echo(f"See {out / 'check.html'}")
         if result.bad:
             raise typer.Exit(FAILED)
@@ -371,7 +396,7 @@ def calibrate(
         typer.Option("--square-sigma-mm", metavar="MM", help="Standard error of that side; left out: 0.1 % of it."),
     ] = None,
     squares: Annotated[str, typer.Option("--squares", metavar="CxR", help="Squares along columns and rows.")] = "7x5",
-    board: Annotated[str, typer.Option("--board", help="charuco or chessboard.")] = "charuco",
+    board: Annotated[Literal["charuco", "chessboard"], typer.Option("--board", help="What is printed.")] = "charuco",
     marker_mm: Annotated[
         float | None, typer.Option("--marker-mm", metavar="MM", help="Side of a marker; ChArUco only.")
     ] = None,
@@ -387,6 +412,7 @@ def calibrate(
     thickness_mm: Annotated[
         float, typer.Option("--thickness-mm", metavar="MM", help="Thickness of the board that lies on the table.")
     ] = 0.0,
+    as_json: AsJson = False,
     force: Force = False,
 ) -> None:
     """Camera and table pose from pictures of a ChArUco board or a chessboard: camera.toml, calibration.json and a page."""
@@ -404,4 +430,7 @@ def calibrate(
             found = calibrate_camera(
                 pictures, printed, out, table=table, thickness_m=1e-3 * thickness_mm, force=force, command=as_typed()
             )
+        if as_json:
+            print_json(out / "calibration.json")
+            return
         print_camera(found, len(pictures) + (table is not None and table not in pictures), out)

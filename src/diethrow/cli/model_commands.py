@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -11,6 +11,7 @@ from .app import app
 from .errors import RESUMABLE, checked_options, one_sentence_errors, stopped_with
 from .options import (
     Amplitude,
+    AsJson,
     DieFile,
     Edge,
     Force,
@@ -31,7 +32,7 @@ from .options import (
     run_on,
     usable_cores,
 )
-from .printing import print_film, print_presets, print_throw
+from .printing import print_film, print_json, print_presets, print_throw
 from .progress import announcing, progress_bars
 
 
@@ -45,6 +46,7 @@ def throw(
             "--embed-replay", help="Also write replay.html: the viewer and the recording in one page of 20 MB."
         ),
     ] = False,
+    as_json: AsJson = False,
     force: Force = False,
 ) -> None:
     """Simulate one throw from its initial conditions to its end."""
@@ -57,7 +59,10 @@ def throw(
         command = (*command_words("throw", plan, out, force), *flag_words("--embed-replay", embed_replay))
         with announcing():
             result = simulate(checked, out, force=force, embed_replay=embed_replay, command=command)
-        print_throw(result, out)
+        if as_json:
+            print_json(out / "throw.json")
+        else:
+            print_throw(result, out)
 
 
 def _print_presets(wanted: bool) -> None:
@@ -129,9 +134,10 @@ def film(
         float | None, typer.Option("--noise", help="Factor on the sensor's noise; 0: none. [default: 1]")
     ] = None,
     codec: Annotated[
-        str | None,
+        Literal["ffv1", "h264", "hevc", "mjpeg"] | None,
         typer.Option(
-            "--codec", metavar="ffv1|h264|hevc|mjpeg", help="Codec of the clip. [default: ffv1, without loss]"
+            "--codec",
+            help="Codec of the clip. [default: ffv1, without loss]",
         ),
     ] = None,
     crf: Annotated[
@@ -243,7 +249,7 @@ def odds(
     ] = None,
     mu: Mu = None,
     conditions: Annotated[
-        str,
+        Literal["paper", "uniform"],
         typer.Option(
             "--conditions",
             help="paper: uniform Euler angles, body spin (0, OMEGA, 0); uniform: uniform orientations and spin directions "
@@ -264,6 +270,7 @@ def odds(
     threads: Threads = None,
     scheduler: Scheduler = None,
     resume: Resume = False,
+    as_json: AsJson = False,
     force: Force = False,
 ) -> None:
     """Landing probability of every face, with intervals; throws that do not land are counted by how they end."""
@@ -288,6 +295,9 @@ def odds(
         from ..commands.model.face_odds import summary
 
         tallies = run_on(scheduler, throw_often, plan, out, threads=threads, force=force, resume=resume)
+        if as_json:
+            print_json(out / "odds.json")
+            return
         typer.echo("\n".join((*summary(plan, tallies), f"See {out}")))
 
 
@@ -347,6 +357,7 @@ def basins(
     threads: Threads = None,
     scheduler: Scheduler = None,
     resume: Resume = False,
+    as_json: AsJson = False,
     force: Force = False,
 ) -> None:
     """Basins of attraction: the landed face over a plane of initial conditions, as picture and data."""
@@ -373,6 +384,9 @@ def basins(
         from ..commands.model.basin_maps import summary
 
         mapped, measured = run_on(scheduler, map_basins, plan, out, threads=threads, force=force, resume=resume)
+        if as_json:
+            print_json(out / "basins.json")
+            return
         typer.echo("\n".join((*summary(plan, mapped, measured), f"Look at it:  {out / 'basins.png'}")))
 
 
@@ -410,6 +424,7 @@ def lyapunov(
         typer.Option("--omega-body", metavar="XI ETA ZETA", help="Angular velocity at the start, body axes [rad/s]."),
     ] = (0.0, 60.0, 0.0),
     seed: Annotated[int, typer.Option("--seed", help="Seed of the neighbours.")] = 1,
+    as_json: AsJson = False,
     force: Force = False,
 ) -> None:
     """The largest Lyapunov exponent of a bouncing die; by default from the start of the paper's Fig. 5."""
@@ -437,6 +452,9 @@ def lyapunov(
 
         with progress_bars() as progress:
             result = follow(plan, out, force=force, progress=progress, command=as_typed())
+        if as_json:
+            print_json(out / "lyapunov.json")
+            return
         typer.echo("\n".join((*summary(plan, result), f"See {out}")))
 
 

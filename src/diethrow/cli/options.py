@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import typer
 
@@ -18,10 +18,9 @@ if TYPE_CHECKING:
     from ..files.scene import Scene
     from ..fitting.results import Choices, IntervalMethod
     from ..model.die import Die
-    from ..tracking.quality import Quality
-    from ..tracking.timing import Timing
 
 R = TypeVar("R")
+
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="The scene file: clip, camera, table and die.")]
 ThrowFile = Annotated[Path, typer.Argument(metavar="THROW.toml", help="The throw file: die, law, release and end.")]
@@ -40,28 +39,25 @@ Scheduler = Annotated[
 AllowOutside = Annotated[bool, typer.Option("--allow-outside", help="Allow files outside the scene's own folder.")]
 OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Output folder; must not exist yet.")]
 Fineness = Annotated[
-    str,
+    Literal["fast", "standard", "fine"],
     typer.Option(
         "--quality",
-        metavar="fast|standard|fine",
         help="fast: every frame once, edges only; standard: twice, with surface marks; fine: as standard, with more steps.",
     ),
 ]
 Every = Annotated[int, typer.Option("--every", min=1, metavar="N", help="Use every N-th frame.")]
 Shrink = Annotated[int, typer.Option("--shrink", min=1, metavar="F", help="Average F × F pixels into one.")]
 FrameTiming = Annotated[
-    str,
+    Literal["corrected", "as-filmed"],
     typer.Option(
         "--timing",
-        metavar="corrected|as-filmed",
         help="corrected: missing, doubled and frozen frames that the motion shows with certainty get their true times.",
     ),
 ]
 Intervals = Annotated[
-    str,
+    Literal["profile", "covariance", "bootstrap"],
     typer.Option(
         "--intervals",
-        metavar="profile|covariance|bootstrap",
         help="Source of the intervals: the profile likelihood, the covariance, or a bootstrap of the residuals.",
     ),
 ]
@@ -98,8 +94,11 @@ DieFile = Annotated[
     ),
 ]
 Shape = Annotated[
-    str | None,
-    typer.Option("--shape", help="tetrahedron, cube, octahedron, dodecahedron or icosahedron; else see --die."),
+    Literal["tetrahedron", "cube", "octahedron", "dodecahedron", "icosahedron"] | None,
+    typer.Option(
+        "--shape",
+        help="Of the die; for any other see --die.",
+    ),
 ]
 Edge = Annotated[float | None, typer.Option("--edge", metavar="M", help="Edge of the die [m].")]
 Mass = Annotated[float | None, typer.Option("--mass", metavar="KG", help="Mass of the die [kg]. [default: 0.016]")]
@@ -107,6 +106,15 @@ Mu = Annotated[float | None, typer.Option("--mu", help="Coulomb friction coeffic
 Amplitude = Annotated[float, typer.Option("--amplitude", metavar="M", help="Amplitude of the table's oscillation [m].")]
 Frequency = Annotated[float, typer.Option("--frequency", metavar="HZ", help="Frequency of the oscillation [Hz].")]
 Phase = Annotated[float, typer.Option("--phase", metavar="RAD", help="Phase of the oscillation at release [rad].")]
+ChiWithin = Annotated[
+    float | None,
+    typer.Option("--chi-within", metavar="WIDTH", help="Use the fastest setting whose 95 % interval of χ is ± WIDTH."),
+]
+TradeFile = Annotated[
+    Path | None,
+    typer.Option("--trade", metavar="TRADE.json", help="Measurements of diethrow trade on a similar scene."),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Continue a stopped run with the same settings.")]
 
 
@@ -182,15 +190,6 @@ def as_typed() -> tuple[str, ...]:
     return ("diethrow", *sys.argv[1:])
 
 
-def quality_of_name(name: str) -> Quality:
-    """The tracking quality of that name. Raises ValueError for an unknown name."""
-    from ..tracking.quality import QUALITIES
-
-    if name not in QUALITIES:
-        raise ValueError(f"--quality {name}: wanted {', '.join(QUALITIES)}")
-    return QUALITIES[name]
-
-
 def interval_method(name: str) -> IntervalMethod:
     """The interval method of that name. Raises ValueError for an unknown name."""
     from ..fitting.results import INTERVAL_METHODS
@@ -227,22 +226,12 @@ def _number_or_none(text: str) -> float | None:
         raise ValueError(f"usual_friction = {text}: wanted a coefficient of friction, or none") from None
 
 
-def timing_of_name(name: str) -> Timing:
-    """The way of taking times of that name. Raises ValueError for an unknown name."""
-    from ..tracking.timing import TIMINGS
-
-    for timing in TIMINGS:
-        if name == timing:
-            return timing
-    raise ValueError(f"--timing {name}: wanted {', '.join(TIMINGS)}")
-
-
-def tracking_words(quality: str, every: int, shrink: int, timing: str) -> tuple[str, ...]:
-    """The options of the tracking stage as typed."""
-    return (
-        "--quality", quality, *given_option("--every", every, 1), *given_option("--shrink", shrink, 1),
-        *given_option("--timing", timing, "corrected"),
-    )  # fmt: skip
+def check_half_width(chi_within: float | None, trade_file: Path | None = None) -> None:
+    """Raise ValueError, naming the option, for a half-width that is none, and for measurements without one."""
+    if chi_within is not None and not 0.0 < chi_within < 1.0:
+        raise ValueError(f"--chi-within {chi_within:g}: wanted a half-width of χ between 0 and 1, such as 0.01")
+    if trade_file is not None and chi_within is None:
+        raise ValueError("--trade needs --chi-within; state the wanted half-width of χ, as in --chi-within 0.01")
 
 
 def given_option(name: str, value: float | str | None, default: float | str | None) -> tuple[str, ...]:

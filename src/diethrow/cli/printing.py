@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import json
+from collections.abc import Iterable, Mapping, Sequence
 from math import floor, log10
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
+
+from .logs import LOGGER
 
 if TYPE_CHECKING:
     from ..analysis import Analysis, Tracking
@@ -22,8 +25,34 @@ if TYPE_CHECKING:
     from ..replay.pages import Trade
 
 
-def print_analysis(result: Analysis) -> None:
+def print_json(record: Path | Mapping[str, Any]) -> None:
+    """A record, or the file that holds it, as JSON."""
+    if isinstance(record, Path):
+        typer.echo(record.read_text(encoding="utf-8").rstrip())
+        return
+    from ..files.csv_and_json import plain
+
+    typer.echo(json.dumps(plain(record), indent=1, ensure_ascii=False, allow_nan=False))
+
+
+def _json_of(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def print_analysis(result: Analysis, as_json: bool = False) -> None:
     """The result of an analysis."""
+    if as_json:
+        print_json(
+            {
+                "folder": str(result.folder),
+                "frames": len(result.track),
+                "frames_tracked": int(result.track.tracked.sum()),
+                "bounces": len(result.measured.impacts),
+                "fit": _json_of(result.folder / "fit.json"),
+                "notices": result.notices,
+            }
+        )
+        return
     rms = result.fit.residual_rms
     rows = [
         ("frames tracked", f"{int(result.track.tracked.sum())} of {len(result.track)}"),
@@ -37,10 +66,15 @@ def print_analysis(result: Analysis) -> None:
     print_notices((*result.notices, *result.fit.messages))
 
 
-def print_tracking(result: Tracking, out: Path) -> None:
+def print_tracking(result: Tracking, out: Path, as_json: bool = False) -> None:
     """Frames tracked and bounces found."""
-    print_notices(result.notices)
     tracked, total = int(result.frames.tracked.sum()), len(result.frames)
+    if as_json:
+        bounces = len(result.measured.impacts)
+        counts = {"folder": str(out), "frames": total, "frames_tracked": tracked, "bounces": bounces}
+        print_json({**counts, "notices": result.notices})
+        return
+    print_notices(result.notices)
     typer.echo(f"{tracked} of {total} frames tracked, {len(result.measured.impacts)} bounces; see {out}")
 
 
@@ -81,6 +115,12 @@ def print_batch(result: Batch, out: Path) -> None:
     typer.echo(f"{finished}, {result.kept} of them earlier; see {out / 'results.csv'}")
     if result.failures:
         typer.echo(f"{len(result.failures)} failed; see {out / 'failures.csv'}")
+
+
+def batch_record(result: Batch, out: Path) -> dict[str, Any]:
+    """The same as plain values."""
+    failures = [{"scene": failure.scene, "reason": failure.reason} for failure in result.failures]
+    return {"folder": str(out), "finished": len(result.results), "finished_earlier": result.kept, "failures": failures}
 
 
 def print_camera(found: CameraFound, pictures: int, out: Path) -> None:
@@ -187,7 +227,13 @@ def _restitution(chi: Parameter) -> str:
     return f"{chi.value:.{digits}f}  ({100 * chi.level:.0f} %: {chi.low:.{digits}f} to {chi.high:.{digits}f})"
 
 
+def tell_setting(chi_within: float, quality: str, every: int, shrink: int) -> None:
+    """Which setting a wanted half-width of χ has led to."""
+    options = f"--quality {quality} --every {every} --shrink {shrink}"
+    LOGGER.warning("chosen for χ ± %g: %s", chi_within, options)
+
+
 def print_notices(sentences: tuple[str, ...]) -> None:
     """One line per note."""
     for sentence in sentences:
-        typer.echo(f"note: {sentence}", err=True)
+        LOGGER.warning("%s", sentence)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from .logs import is_quiet
+
 if TYPE_CHECKING:
     from ..commands.clip.batch import Standing
 
@@ -21,7 +23,7 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
     console = Console(stderr=True)
     columns = (TextColumn("{task.description:<22}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
     with (
-        Progress(*columns, TimeElapsedColumn(), console=console, disable=not console.is_terminal) as bars,
+        Progress(*columns, TimeElapsedColumn(), console=console, disable=is_quiet() or not console.is_terminal) as bars,
         announcing(),
     ):
         tasks: dict[str, TaskID] = {}
@@ -43,8 +45,13 @@ def announcing() -> Iterator[None]:
     """Announce the compilation of kernels in one line."""
     from .compiling import announced
 
-    with announced(lambda sentence: typer.echo(f"diethrow: {sentence}", err=True)):
+    with announced(_announce):
         yield
+
+
+def _announce(sentence: str) -> None:
+    if not is_quiet():
+        typer.echo(f"diethrow: {sentence}", err=True)
 
 
 def announce_for_workers() -> None:
@@ -52,7 +59,7 @@ def announce_for_workers() -> None:
     from .compiling import SENTENCE, is_compiled
 
     if not is_compiled():
-        typer.echo(f"diethrow: {SENTENCE}", err=True)
+        _announce(SENTENCE)
 
 
 @contextmanager
@@ -69,14 +76,14 @@ def batch_bar() -> Iterator[Callable[[Standing], None]]:
         TimeElapsedColumn(),
         TextColumn("{task.description}"),
     )
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
+    with Progress(*columns, console=console, disable=is_quiet() or not console.is_terminal) as bars:
         clips = bars.add_task("", total=None)
 
         def report(standing: Standing) -> None:
             failed = f"{standing.failed} failed, " if standing.failed else ""
             left = "" if standing.left_s is None else f"about {_duration(standing.left_s)} left"
             bars.update(clips, completed=standing.done, total=standing.total, description=f"{failed}{left}")
-            if not console.is_terminal:
+            if not console.is_terminal and not is_quiet():
                 line = f"{standing.done} of {standing.total} clips done, {failed}{left}".rstrip(", ")
                 typer.echo(f"{line}: {standing.last}", err=True)
 

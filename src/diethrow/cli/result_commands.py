@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from .app import app
 from .errors import FAILED, one_sentence_errors
-from .printing import print_throws
+from .options import AsJson
+from .printing import print_json, print_throws
 
 
 @app.command(
@@ -33,8 +34,8 @@ def replay(
         ),
     ] = None,
     align: Annotated[
-        str,
-        typer.Option("--align", metavar="bounce|frame", help="Align the clocks at the first bounce, or at frame 0."),
+        Literal["bounce", "frame"],
+        typer.Option("--align", help="Align the clocks at the first bounce, or at frame 0."),
     ] = "bounce",
     models: Annotated[
         bool | None,
@@ -47,6 +48,7 @@ def replay(
     look: Annotated[
         bool, typer.Option("--open", help="Open the viewer: without statistics, listening on localhost only.")
     ] = False,
+    as_json: AsJson = False,
     force: Annotated[bool, typer.Option("--force", help="Replace the output if it exists.")] = False,
 ) -> None:
     """Show throws: a table, one recording of several throws, or the viewer."""
@@ -54,15 +56,20 @@ def replay(
         from ..commands.results.joined_recordings import find_recordings, gather, join
 
         found = find_recordings(throws)
-        print_throws(found)
+        if as_json:
+            print_json({"throws": [{"name": one.name, **one.properties} for one in found]})
+        else:
+            print_throws(found)
         shown = [one.path for one in found]
         if out is not None and out.suffix == ".rrd":
             same = join(found, out, align=align, models=models, force=force)
-            typer.echo(f"{len(found)} {'models of one throw' if same else 'throws'} in {out}")
+            if not as_json:
+                typer.echo(f"{len(found)} {'models of one throw' if same else 'throws'} in {out}")
             shown = [out]
         elif out is not None:
             gather(found, out, force=force)
-            typer.echo(f"{len(found)} recordings and throws.csv in {out}")
+            if not as_json:
+                typer.echo(f"{len(found)} recordings and throws.csv in {out}")
             shown = [out / f"{one.name}.rrd" for one in found]
         if look:
             from ..commands.results.viewer import open_viewer
@@ -81,6 +88,7 @@ def rerun(
             help="Largest difference allowed, as a share of the column's largest number; 0: bit for bit.",
         ),
     ] = 1e-6,
+    as_json: AsJson = False,
 ) -> None:
     """Repeat a run from its provenance and report whether the numbers agree. Nothing is written.
 
@@ -89,9 +97,20 @@ def rerun(
     with one_sentence_errors():
         from ..commands.results.repeated_run import rerun as make_again
         from ..commands.results.repeated_run import summary
+        from ..files.provenance import as_tables
 
         comparison = make_again(folder, within=within)
-        for line in summary(comparison):
-            typer.echo(line)
+        if as_json:
+            print_json(
+                {
+                    "agree": comparison.agree,
+                    "within": comparison.within,
+                    "same": comparison.same,
+                    "differences": as_tables(comparison.differences),
+                    "notices": comparison.notices,
+                }
+            )
+        else:
+            typer.echo("\n".join(summary(comparison)))
         if not comparison.agree:
             raise typer.Exit(FAILED)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.metadata
+import logging
 import os
 import platform
 import threading
@@ -39,6 +40,9 @@ MAX_FOREGROUND_BYTES = 1 << 24
 and the stages that follow frame by frame leave a core idle."""
 
 
+LOGGER = logging.getLogger("diethrow")
+
+
 @dataclass
 class Stopwatch:
     """Duration of each stage of a run [s], in the order in which they ended."""
@@ -52,7 +56,9 @@ class Stopwatch:
         try:
             yield
         finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+            passed = time.perf_counter() - start
+            self.seconds[name] = self.seconds.get(name, 0.0) + passed
+            LOGGER.info("%s: %.3f s", name, passed)
 
 
 class InputChangedError(OSError):

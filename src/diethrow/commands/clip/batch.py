@@ -24,6 +24,7 @@ from ...files.outputs import OutputExistsError, OutputPlaceError, locked, refuse
 from ...files.provenance import InputChangedError, files_read
 from ...files.scene import Scene, read_scene
 from ...files.settings import SceneError
+from .run_options import USUAL_OPTIONS, RunOptions, Stage
 
 ATTEMPTS = 3
 """A clip fails after its worker has died this often: the clip may be the cause."""
@@ -32,7 +33,6 @@ TRACK_FILES = ("provenance.json", "track.csv", "bounces.csv")
 TABLES_EVERY_S = 2.0
 """Shortest time [s] between two updates of the tables; the final tables are always written."""
 
-Stage = Literal["analyze", "track"]
 Kind = Literal["scene", "clip", "output", "worker", "error"]
 
 
@@ -43,7 +43,7 @@ class Task:
     scene: Path
     folder: Path
     stage: Stage
-    quality: str
+    options: RunOptions = USUAL_OPTIONS
     allow_outside: bool = False
     """Whether files outside the scene's folder are allowed."""
 
@@ -51,7 +51,8 @@ class Task:
     def command(self) -> tuple[str, ...]:
         """The command that does the same for this scene alone."""
         outside = ("--allow-outside",) if self.allow_outside else ()
-        return ("diethrow", self.stage, str(self.scene), "--out", str(self.folder), *outside, "--quality", self.quality)
+        own = self.options.words(self.stage)
+        return ("diethrow", self.stage, str(self.scene), "--out", str(self.folder), *outside, *own)
 
 
 @dataclass(frozen=True)
@@ -120,14 +121,14 @@ def run_batch(
     executor: Executor | None = None,
     workers: int | None = None,
     stage: Stage = "analyze",
-    quality: str = "standard",
+    options: RunOptions = USUAL_OPTIONS,
     allow_outside: bool = False,
     progress: Callable[[Standing], None] = lambda standing: None,
 ) -> Batch:
     """Analyse every scene into its own folder in `out`, and write one table of results and one of failures.
 
     `executor` does the work: any of `concurrent.futures` whose workers see the same files; by default `workers` local processes
-    (one per core). A repeated call analyses what is missing, what failed, and what another version, another quality or other
+    (one per core). A repeated call analyses what is missing, what failed, and what another version, other options or other
     bytes made. A clip whose worker dies is tried by another worker.
 
     Raises ValueError without a scene, OutputBusyError if another batch writes to `out`, OutputExistsError if `out` is a file, and
@@ -136,7 +137,7 @@ def run_batch(
     if not scenes:
         raise ValueError("no scenes: wanted one scene file or more")
     out = Path(out).resolve()
-    tasks = tasks_of(scenes, out, stage, quality, allow_outside)
+    tasks = tasks_of(scenes, out, stage, options, allow_outside)
     if not out.is_dir():
         refuse_existing(out)
     with locked(out):
@@ -154,7 +155,11 @@ def run_batch(
 
 
 def tasks_of(
-    scenes: Sequence[Path], out: Path, stage: Stage = "analyze", quality: str = "standard", allow_outside: bool = False
+    scenes: Sequence[Path],
+    out: Path,
+    stage: Stage = "analyze",
+    options: RunOptions = USUAL_OPTIONS,
+    allow_outside: bool = False,
 ) -> list[Task]:
     """One task per scene. A folder is named after that of its scene, or after the file if that is not `scene.toml`; equal names
     are preceded by the names of the folders above."""
@@ -170,17 +175,18 @@ def tasks_of(
         for part in deeper:
             depth[part] += 1
     return [
-        Task(path, out / names[part], stage, quality, allow_outside) for path, part in zip(paths, parts, strict=True)
+        Task(path, out / names[part], stage, options, allow_outside) for path, part in zip(paths, parts, strict=True)
     ]
 
 
 def is_finished(task: Task) -> bool:
-    """Whether the folder of a task exists and was made by this version, stage and quality from the present bytes."""
+    """Whether the folder of a task exists and was made by this version, stage and options from the present bytes."""
     wanted = (*TRACK_FILES, *(("fit.json",) if task.stage == "analyze" else ()))
     if not all((task.folder / name).is_file() for name in wanted):
         return False
     origin = _Origin.of(task.folder)
-    if origin is None or (origin.version, origin.stage, origin.quality) != (__version__, task.stage, task.quality):
+    own = task.options.words(task.stage)
+    if origin is None or (origin.version, origin.stage, origin.options) != (__version__, task.stage, own):
         return False
     from .track import input_paths
 
@@ -197,7 +203,7 @@ class _Origin:
 
     version: str
     stage: str
-    quality: str
+    options: tuple[str, ...]
     digests: tuple[str, ...]
     """SHA-256 of the inputs, in their order."""
 
@@ -207,9 +213,9 @@ class _Origin:
         try:
             origin = read_json(folder / "provenance.json")
             command = [str(word) for word in origin["command"]]
-            quality = command[command.index("--quality") + 1]
+            options = tuple(command[command.index("--quality") :])
             digests = tuple(str(each["sha256"]) for each in origin["inputs"])
-            return cls(str(origin["diethrow"]), command[1], quality, digests)
+            return cls(str(origin["diethrow"]), command[1], options, digests)
         except (KeyError, TypeError, ValueError, IndexError):
             return None
 
@@ -217,16 +223,15 @@ class _Origin:
 def work(task: Task) -> Failure | None:
     """Analyse one clip in a worker; a failure is returned as a value, so that the batch continues."""
     from ...analysis import RunError
-    from ...tracking.quality import QUALITIES
     from .analyze import analyze
     from .track import track_only
 
     try:
         scene: Scene = read_scene(task.scene, allow_outside=task.allow_outside)
-        quality = QUALITIES[task.quality]
+        options = task.options.arguments(task.stage)
         refuse_existing_of_others(task.folder)
         do = analyze if task.stage == "analyze" else track_only
-        do(scene, task.folder, force=True, quality=quality, command=task.command)
+        do(scene, task.folder, force=True, command=task.command, **options)
     except (OutputPlaceError, OutputExistsError) as error:
         return _failure(task, "output", error)
     except SceneError as error:

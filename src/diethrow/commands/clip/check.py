@@ -54,7 +54,7 @@ def check_clip(
     watch = Stopwatch()
     with whole_folder(out, force=force, inputs=input_paths(scene)) as folder:
         check, clips = _check(scene, timing, watch)
-        write_json(folder / "check.json", _record(check))
+        write_json(folder / "check.json", record(check))
         tracked_parts = [
             (measured.tracked_part, clip, view.camera)
             for measured, clip, view in zip(check.measured, clips, scene.views(), strict=True)
@@ -117,7 +117,7 @@ def _measured(scene: Scene, view: View, clip: Clip, timing: Timing, start: Manua
         raise SceneError(f"{scene.path}: {error}") from error
 
 
-def _record(check: Check) -> dict[str, object]:
+def record(check: Check) -> dict[str, object]:
     tried = [_frames_tried(measured.tracked_part) for measured in check.measured]
     return {
         "verdict": max((finding.verdict for finding in check.findings), key=list(Verdict).index).value,

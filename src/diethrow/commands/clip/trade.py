@@ -146,6 +146,14 @@ def read_trade(path: Path) -> tuple[Setting, ...]:
         ) from error
 
 
+def setting_from(measured: Path, within: float) -> tuple[str, Decimation]:
+    """The same by the trade.json of a similar scene alone. Raises ValueError if none of its settings is accurate enough."""
+    best = fastest_within([s for s in read_trade(measured) if s.kind == "tracking"], within)
+    if best is None:
+        raise ValueError(f"{measured}: no setting in it gives χ to ±{within:g}; ask for less, or use --quality fine")
+    return best.choice
+
+
 def setting_for(
     scene: Scene, within: float, measured: Path | None = None, progress: Progress = silent
 ) -> tuple[str, Decimation]:
@@ -156,12 +164,7 @@ def setting_for(
     ValueError if no setting is accurate enough, RunError if no setting finds the die.
     """
     if measured is not None:
-        best = fastest_within([s for s in read_trade(measured) if s.kind == "tracking"], within)
-        if best is None:
-            raise ValueError(
-                f"{measured}: no setting in it gives χ to ±{within:g}; ask for less, or use --quality fine"
-            )
-        return best.choice
+        return setting_from(measured, within)
     narrowest: float | None = None
     for k, (quality, every, shrink) in enumerate(LADDER):
         progress("Choosing a setting", k, len(LADDER))
