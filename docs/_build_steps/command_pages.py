@@ -34,9 +34,9 @@ def _index(commands: dict[str, Any]) -> str:
     return (
         "# Commands\n\n| command | does |\n| --- | --- |\n"
         + "\n".join(rows)
-        + "\n\n`diethrow -v COMMAND` logs every stage with its time, `diethrow -q COMMAND` leaves out progress and notes; both on "
-        "standard error, through the logger `diethrow` of Python's `logging`. `--json` prints the result of a command as JSON on "
-        "standard output. `diethrow --install-completion` teaches the shell commands, options and choices.\n"
+        + "\n\n`diethrow -v COMMAND` logs every stage with its time, `diethrow -q COMMAND` leaves out progress and notes; both "
+        "on standard error, through the logger `diethrow` of Python's `logging`. `--json` prints the result of a command as JSON "
+        "on standard output. `diethrow --install-completion` teaches the shell commands, options and choices.\n"
         + "\nThe exit status is 0 for a result, 1 for a run without one, 2 for a mistake in a file or on the command line, "
         "and 130 after Ctrl-C. Errors are one sentence; `DIETHROW_TRACEBACK=1` shows where they came from.\n"
         f"\n```{{toctree}}\n:hidden:\n\n{names}\n```\n"

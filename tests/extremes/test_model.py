@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 from random_throws import DICE, random_release
 
+from diethrow.model.die import die_from_solid, named_solid
+from diethrow.model.engine.asymmetric import TorqueFree
 from diethrow.model.ensembles.landings import ThrowSetup
 from diethrow.model.ensembles.stepping import stepped_landings
 from diethrow.model.laws import CoulombImpact, SmoothImpact
-from diethrow.model.throw.motion import State, energy_J
+from diethrow.model.rotations import matrix_from_quat
+from diethrow.model.throw.motion import State, energy_J, turning_of, turns_in_flight
 from diethrow.model.throw.simulate import Ending, Until, throw_die
 
 Note = Callable[[str], None]
@@ -79,3 +83,38 @@ def test_a_step_that_is_none_is_refused(step_s: float, happened: Note) -> None:
     with pytest.raises(ValueError, match="wanted a time above 0 s") as caught:
         stepped_landings(CUBE, 0.5, np.zeros((1, 13)), step_s)
     happened(str(caught.value))
+
+
+NEEDLE, PLATE, NEARLY_CUBE = (1.0, 1.0, 1000.0), (1.0, 1000.0, 1000.0), (1.0, 1.000001, 1.000002)
+
+
+@pytest.mark.parametrize("edges", [NEEDLE, PLATE, NEARLY_CUBE], ids=["1 to 1000", "1 to 1000 to 1000", "1 to 1.000002"])
+def test_a_cuboid_of_any_proportions_tumbles_without_loss(edges: tuple[float, ...], happened: Note) -> None:
+    """A cuboid of any proportions keeps energy and angular momentum through a thousand turns of free flight."""
+    die = die_from_solid(named_solid("cuboid", edges_m=[1e-3 * edge for edge in edges]), 1e-3)
+    turning = turning_of(die)
+    assert isinstance(turning, TorqueFree)
+    # Next to the middle axis, about which no rotation is stable.
+    start = State(0.0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.array([1.0, 100.0, 2.0]))
+    turns = turns_in_flight(turning, start, np.linspace(0.0, 20.0 * np.pi, 201))
+    rotation = matrix_from_quat(turns.quaternions)
+    momentum = np.einsum("nij,nj->ni", rotation @ die.tensor_kg_m2 @ rotation.transpose(0, 2, 1), turns.omegas_rad_s)
+    energy = np.einsum("ni,ni->n", momentum, turns.omegas_rad_s)
+    lost, turned = float(np.abs(energy / energy[0] - 1.0).max()), float(np.abs(momentum - momentum[0]).max())
+    turned /= float(np.linalg.norm(momentum[0]))
+    # Thirty thousand steps, each of which loses 1e-17 of the energy by its method, and rounding.
+    assert lost < 1e-12
+    assert turned < 1e-13
+    happened(f"energy changed by {lost:.0e}, angular momentum by {turned:.0e} of themselves")
+
+
+@pytest.mark.parametrize("edges", [NEEDLE, PLATE], ids=["1 to 1000", "1 to 1000 to 1000"])
+def test_a_needle_and_a_plate_come_to_rest(edges: tuple[float, ...], happened: Note) -> None:
+    """A needle and a plate come to rest on a face, and never gain energy."""
+    die = die_from_solid(named_solid("cuboid", edges_m=[1e-4 * edge for edge in edges]), 1e-3)
+    release = random_release(np.random.default_rng(5), die)
+    result = throw_die(die, release, SmoothImpact(0.5))
+    energies = [energy_J(die, flight.start) for flight in result.throw.flights]
+    assert result.ending is Ending.RESTED
+    assert max(b / a - 1.0 for a, b in itertools.pairwise(energies)) < 1e-9
+    happened(f"on face {result.landed_face} after {result.impact_count} impacts")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -49,9 +50,9 @@ from .printing import (
     print_joint_fit,
     print_json,
     print_notices,
+    print_setting,
     print_tracking,
     print_trade,
-    tell_setting,
 )
 from .progress import announce_for_workers, announcing, batch_bar, progress_bars
 
@@ -85,14 +86,14 @@ def analyze(
 
         with checked_options():
             check_half_width(chi_within, trade_file)
+        options = RunOptions(quality, every, shrink, timing, intervals, embed_replay, figures)
         with progress_bars() as progress:
             if chi_within is not None:
                 from ..commands.clip.trade import setting_for
 
-                quality, less = setting_for(checked, chi_within, trade_file, progress)
-                every, shrink = less.every, less.shrink
-                tell_setting(chi_within, quality, every, shrink)
-        options = RunOptions(quality, every, shrink, timing, intervals, embed_replay, figures)
+                chosen, less = setting_for(checked, chi_within, trade_file, progress)
+                options = replace(options, quality=chosen, every=less.every, shrink=less.shrink)
+                print_setting(chi_within, options)
         with progress_bars() as progress, model_ahead():
             result = analyze_scene(
                 checked,
@@ -273,6 +274,7 @@ def batch(
 
         with checked_options():
             check_half_width(chi_within, trade_file)
+        options = RunOptions(quality, every, shrink, timing, intervals, embed_replay, figures)
         if chi_within is not None:
             if trade_file is None:
                 stop_with_status(
@@ -281,9 +283,9 @@ def batch(
                 )
             from ..commands.clip.trade import setting_from
 
-            quality, less = setting_from(trade_file, chi_within)
-            every, shrink = less.every, less.shrink
-            tell_setting(chi_within, quality, every, shrink)
+            chosen, less = setting_from(trade_file, chi_within)
+            options = replace(options, quality=chosen, every=less.every, shrink=less.shrink)
+            print_setting(chi_within, options)
         if scheduler is None:
             announce_for_workers()
         with executor_for(scheduler) as executor, batch_bar() as progress:
@@ -293,7 +295,7 @@ def batch(
                 executor=executor,
                 workers=workers,
                 stage="track" if only_track else "analyze",
-                options=RunOptions(quality, every, shrink, timing, intervals, embed_replay, figures),
+                options=options,
                 allow_outside=allow_outside,
                 progress=progress,
             )

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from ..commands.clip.calibrate import CameraFound
     from ..commands.clip.check import Check
     from ..commands.clip.joint_fit import FitOfMany
+    from ..commands.clip.run_options import RunOptions
     from ..commands.model.filmed_throw import FilmJob
     from ..commands.results.joined_recordings import ThrowRecording
     from ..fitting.results import Parameter
@@ -227,10 +228,9 @@ def _restitution(chi: Parameter) -> str:
     return f"{chi.value:.{digits}f}  ({100 * chi.level:.0f} %: {chi.low:.{digits}f} to {chi.high:.{digits}f})"
 
 
-def tell_setting(chi_within: float, quality: str, every: int, shrink: int) -> None:
-    """Which setting a wanted half-width of χ has led to."""
-    options = f"--quality {quality} --every {every} --shrink {shrink}"
-    LOGGER.warning("chosen for χ ± %g: %s", chi_within, options)
+def print_setting(chi_within: float, options: RunOptions) -> None:
+    """Which options a wanted half-width of χ has led to."""
+    LOGGER.warning("chosen for χ ± %g: %s", chi_within, " ".join(options.words("track")))
 
 
 def print_notices(sentences: tuple[str, ...]) -> None:
