@@ -148,6 +148,53 @@ def smooth_gradient(
     return 0.0, 0.0, s
 
 
+class RoughNow(NamedTuple):
+    """A law with friction at one normal velocity u."""
+
+    chi: float
+    mu: float
+    ratio: float
+    """χ/χ₀."""
+    by_u: float
+    """Derivatives of that ratio by u, and by the speed scale."""
+    by_scale: float
+    mu_by_u: float
+
+
+@inner
+def rough_law_at(law: Law, u: float) -> RoughNow:
+    """χ and μ at a normal velocity u [m/s], with their derivatives."""
+    chi, mu, ratio, by_u, by_scale, mu_by_u = law.parameters[0], law.parameters[1], 1.0, 0.0, 0.0, 0.0
+    if law.code != COULOMB:
+        ratio, by_u, by_scale = coefficient_gradient(law, 3, u)
+        chi *= ratio
+    if law.code == COULOMB_FADING:
+        mu_ratio, mu_by_u, _ = coefficient_gradient(law, 5, u)
+        mu, mu_by_u = mu * mu_ratio, mu * mu_by_u
+    return RoughNow(chi, mu, ratio, by_u, by_scale, mu_by_u)
+
+
+@inner
+def difference_weight(forward: bool, n: int, step: float) -> tuple[float, float]:
+    """Weight and place of the n-th of three points of a difference of the second order, central or forward."""
+    if forward:
+        return (-1.5, 2.0, -0.5)[n] / step, n * step
+    return (-0.5, 0.0, 0.5)[n] / step, (n - 1) * step
+
+
+@inner
+def complete_columns(law: Law, now: RoughNow, c: Vector, impulse_now: Vector, out: Array) -> None:
+    """Fill the columns that follow from the others: of the normal velocity, since S is proportional to c, of the speed scale,
+    and of χ₀ for χ."""
+    for m in range(3):
+        along = c[0] * out[m, VELOCITY] + c[1] * out[m, VELOCITY + 1]
+        out[m, VELOCITY + 2] = (impulse_now[m] - along) / c[2] + out[m, CHI] * law.parameters[0] * now.by_u
+        if law.code == COULOMB_FADING:
+            out[m, VELOCITY + 2] += out[m, MU] * now.mu_by_u
+        out[m, SPEED_SCALE] = out[m, CHI] * law.parameters[0] * now.by_scale
+        out[m, CHI] *= now.ratio
+
+
 @compiled
 def rough_gradient(
     law: Law, mass: float, inertia: float, arm: Vector, c: Vector, wanted: tuple[bool, bool], out: Array
@@ -156,15 +203,8 @@ def rough_gradient(
 
     Two rules spare a quarter of them: S is proportional to c, and does not change when r grows with √J.
     """
-    mu, ending = law.parameters[1], int(law.parameters[2])
-    chi, ratio, by_u, by_scale = law.parameters[0], 1.0, 0.0, 0.0
-    mu_by_u = 0.0
-    if law.code != COULOMB:
-        ratio, by_u, by_scale = coefficient_gradient(law, 3, c[2])
-        chi *= ratio
-    if law.code == COULOMB_FADING:
-        mu_ratio, mu_by_u, _ = coefficient_gradient(law, 5, c[2])
-        mu, mu_by_u = mu * mu_ratio, mu * mu_by_u
+    now, ending = rough_law_at(law, c[2]), int(law.parameters[2])
+    chi, mu = now.chi, now.mu
     gyration, speed = sqrt(inertia / mass), sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
     matrix = spherical_contact_matrix(mass, inertia, arm[0], arm[1], arm[2])
     sx, sy, sz = friction_impulse(matrix, chi, mu, ending, c[0], c[1], c[2])
@@ -177,10 +217,7 @@ def rough_gradient(
         # Neither χ nor μ can be less than 0: forward from there.
         forward = k >= CHI and input_of[k] < step
         for n in range(3):
-            if forward:
-                weight, at = (-1.5, 2.0, -0.5)[n] / step, n * step
-            else:
-                weight, at = (-0.5, 0.0, 0.5)[n] / step, (n - 1) * step
+            weight, at = difference_weight(forward, n, step)
             if weight == 0.0:
                 continue
             for i in range(8):
@@ -194,14 +231,8 @@ def rough_gradient(
             out[0, k] += weight * px
             out[1, k] += weight * py
             out[2, k] += weight * pz
-    impulse_now = (sx, sy, sz)
+    complete_columns(law, now, c, (sx, sy, sz), out)
     for m in range(3):
-        along = c[0] * out[m, VELOCITY] + c[1] * out[m, VELOCITY + 1]
-        out[m, VELOCITY + 2] = (impulse_now[m] - along) / c[2] + out[m, CHI] * law.parameters[0] * by_u
-        if law.code == COULOMB_FADING:
-            out[m, VELOCITY + 2] += out[m, MU] * mu_by_u
-        out[m, SPEED_SCALE] = out[m, CHI] * law.parameters[0] * by_scale
-        out[m, CHI] *= ratio
         stretched = arm[0] * out[m, ARM] + arm[1] * out[m, ARM + 1] + arm[2] * out[m, ARM + 2]
         out[m, INERTIA] = -0.5 * stretched / inertia
     return sx, sy, sz

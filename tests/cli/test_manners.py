@@ -61,6 +61,7 @@ def test_every_command_that_ends_with_numbers_prints_them_as_json_if_asked(comma
         ("basins", "--shape", "cone"),
         ("calibrate", "board.png", "--square-mm", "10", "--board", "paper"),
         ("film", "throw.toml", "--codec", "gif"),
+        ("replay", "scene.toml", "--align", "end"),
         ("analyze", "scene.toml", "--chi-within", "-1"),
         ("trade", "scene.toml", "--chi-within", "-1"),
         ("batch", "scene.toml", "--chi-within", "2"),

@@ -142,7 +142,6 @@ def test_all_presets_are_listed_by_the_command_line() -> None:
     ("words", "wanted"),
     [
         (("--preset", "telephone"), "preset 'telephone': wanted one of phone, rolling-shutter"),
-        (("--codec", "gif"), "codec = 'gif': wanted one of ffv1"),
         (("--crf", 20), "crf = 20: ffv1 stores frames without loss"),
         (("--preset", "h264", "--bits", 12), "bit_depth = 12: wanted one of 8, 10 for h264"),
         (("--readout", 1), "readout_s = 1.0: wanted at most the 0.001 s between two frames"),

@@ -104,7 +104,6 @@ def test_nothing_is_replaced_without_force(throws: Path, tmp_path: Path) -> None
         (("{throws}/none",), "no recording of a throw"),
         (("{throws}/a", "{throws}/a"), "given twice"),
         (("{throws}/a", "--out", "{tmp}/x.rrd"), "is one recording"),
-        (("{throws}", "--out", "{tmp}/x.rrd", "--align", "end"), "wanted bounce or frame"),
     ],
 )
 def test_a_mistake_is_one_sentence(words: tuple[str, ...], sentence: str, throws: Path, tmp_path: Path) -> None:

@@ -25,8 +25,11 @@ from ..impact import (
     SPEED_SCALE,
     VELOCITY,
     coefficient_gradient,
+    complete_columns,
+    difference_weight,
+    rough_law_at,
 )
-from ..types import COULOMB, COULOMB_FADING, SMOOTH_BY_SPEED, Array, AsymmetricBody, Law, RoughLaw, Vector
+from ..types import SMOOTH_BY_SPEED, Array, AsymmetricBody, Law, RoughLaw, Vector
 
 ATTITUDE, ASYMMETRIC_INPUTS = INPUTS, INPUTS + 3
 """Columns of the gradient: those of `impact.impulse_gradient`, then a rotation vector (3) that turns W."""
@@ -84,15 +87,8 @@ def rough_gradient(
     law: Law, body: AsymmetricBody, y: Array, arm: Vector, c: Vector, wanted: tuple[bool, bool], out: Array
 ) -> Vector:
     """`impulse_gradient` of a law with friction: differences of the second order of this one impact. S is proportional to c."""
-    mu, ending = law.parameters[1], int(law.parameters[2])
-    chi, ratio, by_u, by_scale = law.parameters[0], 1.0, 0.0, 0.0
-    mu_by_u = 0.0
-    if law.code != COULOMB:
-        ratio, by_u, by_scale = coefficient_gradient(law, 3, c[2])
-        chi *= ratio
-    if law.code == COULOMB_FADING:
-        mu_ratio, mu_by_u, _ = coefficient_gradient(law, 5, c[2])
-        mu, mu_by_u = mu * mu_ratio, mu * mu_by_u
+    now, ending = rough_law_at(law, c[2]), int(law.parameters[2])
+    chi, mu = now.chi, now.mu
     moment = (body.moments[0] + body.moments[1] + body.moments[2]) / 3.0
     gyration, speed = sqrt(moment / body.mass), sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
     response = np.empty((3, 3))
@@ -116,10 +112,7 @@ def rough_gradient(
         # Neither χ nor μ can be less than 0: forward from there.
         forward = (k == CHI and chi < step) or (k == MU and mu < step)
         for n in range(3):
-            if forward:
-                weight, at = (-1.5, 2.0, -0.5)[n] / step, n * step
-            else:
-                weight, at = (-0.5, 0.0, 0.5)[n] / step, (n - 1) * step
+            weight, at = difference_weight(forward, n, step)
             if weight == 0.0:
                 continue
             for i in range(8):
@@ -136,14 +129,7 @@ def rough_gradient(
             out[0, k] += weight * px
             out[1, k] += weight * py
             out[2, k] += weight * pz
-    impulse_now = (sx, sy, sz)
-    for m in range(3):
-        along = c[0] * out[m, VELOCITY] + c[1] * out[m, VELOCITY + 1]
-        out[m, VELOCITY + 2] = (impulse_now[m] - along) / c[2] + out[m, CHI] * law.parameters[0] * by_u
-        if law.code == COULOMB_FADING:
-            out[m, VELOCITY + 2] += out[m, MU] * mu_by_u
-        out[m, SPEED_SCALE] = out[m, CHI] * law.parameters[0] * by_scale
-        out[m, CHI] *= ratio
+    complete_columns(law, now, c, (sx, sy, sz), out)
     return sx, sy, sz
 
 
