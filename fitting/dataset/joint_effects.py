@@ -63,10 +63,10 @@ def with_effects(
 ) -> tuple[Linearisation, list[Effect], list[Effect]]:
     """Effects added while they are accepted, the one that lowers the cost most first; then those accepted and those refused.
 
-    `on_trial` is called after every trial.
+    `on_trial` is called after every trial. What throws of this die cannot have is not tried.
     """
     accepted: list[Effect] = []
-    left = list(effects)
+    left = [effect for effect in effects if point.physics.can_be_thrown_with(effect)]
     refused: dict[str, Effect] = {}
     while left:
         # How errors of the release state grow depends on the law: the slack is computed anew.

@@ -80,6 +80,7 @@ EFFECTS: dict[str, tuple[str, ...]] = {
 ACTIONS = {
     "friction": Action.FRICTION,
     "fading restitution": Action.RESTITUTION_BY_SPEED,
+    "fading friction": Action.FRICTION_BY_SPEED,
     "air drag": Action.DRAG,
 }
 """What an effect has act on the die. A fit of one throw combines what `model.throw.supported` has derivatives of; joint fits
@@ -219,16 +220,29 @@ class Physics:
         )
 
     def is_compatible_with(self, effect: str) -> bool:
-        """Whether an effect can be combined with those in use, and with the die."""
-        effects, kind = {*self.effects, effect}, body_kind(self.die)
+        """Whether a fit of one throw can combine an effect with those in use, and with the die."""
+        effects = {*self.effects, effect}
+        # On a table that oscillates, centre of mass and motion of the table explain the same bounces.
+        return not {"loaded die", "oscillating table"} <= effects and self._is_supported(Door.DERIVATIVES, effects)
+
+    def can_be_thrown_with(self, effect: str) -> bool:
+        """Whether throws can combine an effect with those in use, and with the die, from the release to rest."""
+        return self._is_supported(Door.THROW, {*self.effects, effect})
+
+    @property
+    def comes_to_rest(self) -> bool:
+        """Whether the model follows throws of this die with these effects to their rest, not only from bounce to bounce. Drag,
+        of which throws know nothing, does not count."""
+        return self._is_supported(Door.THROW, {*self.effects} - {"air drag"})
+
+    def _is_supported(self, door: Door, effects: set[str]) -> bool:
+        """Whether the model combines some effects with the die."""
+        kind = body_kind(self.die)
         if kind is BodyKind.ASYMMETRIC and effects & _OF_ONE_MOMENT:
             return False
         if "loaded die" in effects:
-            # On a table that oscillates, centre of mass and motion of the table explain the same bounces.
-            if "oscillating table" in effects:
-                return False
             kind = BodyKind.LOADED
-        return {ACTIONS[name] for name in effects if name in ACTIONS} <= SUPPORTED[Door.DERIVATIVES][kind]
+        return {ACTIONS[name] for name in effects if name in ACTIONS} <= SUPPORTED[door][kind]
 
     def calibration_limit(self, name: str) -> float:
         """Departure of a parameter that the calibration leaves open."""
@@ -389,14 +403,6 @@ class Physics:
             keep,
         )
         return Run(log[:, 1].astype(int), int(face) + 1 if face >= 0 else None)
-
-    @property
-    def comes_to_rest(self) -> bool:
-        """Whether the model follows throws of this die with these effects to their rest, and not only from bounce to bounce."""
-        kind = body_kind(self.body)
-        return {ACTIONS[name] for name in self.effects if name in ACTIONS} - {Action.DRAG} <= SUPPORTED[Door.THROW][
-            kind
-        ]
 
     def _run_asymmetric(self, start: State, end_s: float, impacts: int, precision: engine.Precision) -> Run:
         """The same for a loaded die, or one with several moments of inertia."""
