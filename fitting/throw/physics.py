@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model import engine
-from ...model.die import Die
+from ...model.die import Die, largest_corner_radius
 from ...model.laws import (
     CoulombImpact,
     FrictionBySpeed,
@@ -44,6 +44,7 @@ from ...model.throw import (
     Action,
     BodyKind,
     Door,
+    Impact,
     Propagation,
     State,
     ThrowResult,
@@ -116,6 +117,12 @@ _MAX_OFFSET = 0.5
 
 _MAX_CORNER_RADIUS = 0.9
 """Largest corner radius, in inscribed radii: at 1 the die is a sphere."""
+
+_BISECTIONS = 12
+"""Throws by which the end of the bounces is found of a die that is not followed to its rest."""
+
+_LEAST_LARGEST = 0.02
+"""The largest corner radius of a solid, in inscribed radii, below which rounded corners are no effect of it."""
 
 _INERTIA_BOUNDS = (0.2, 3.0)
 """Least and largest moment of inertia, relative to that of the die."""
@@ -240,6 +247,11 @@ class Physics:
         kind = body_kind(self.die)
         if kind is BodyKind.ASYMMETRIC and effects & _OF_ONE_MOMENT:
             return False
+        if (
+            "rounded corners" in effects
+            and largest_corner_radius(self.die.solid) < _LEAST_LARGEST * self.die.solid.inradius
+        ):
+            return False
         if "loaded die" in effects:
             kind = BodyKind.LOADED
         return {ACTIONS[name] for name in effects if name in ACTIONS} <= SUPPORTED[door][kind]
@@ -255,7 +267,7 @@ class Physics:
         if name in CENTRE_OF_MASS:
             return -_MAX_OFFSET * self.die.solid.inradius, _MAX_OFFSET * self.die.solid.inradius
         if name == "corner_radius_m":
-            return 0.0, _MAX_CORNER_RADIUS * self.die.solid.inradius
+            return 0.0, min(_MAX_CORNER_RADIUS * self.die.solid.inradius, largest_corner_radius(self.die.solid))
         if name == "inertia_kg_m2":
             least, most = _INERTIA_BOUNDS
             return least * self.die.inertia_kg_m2, most * self.die.inertia_kg_m2
@@ -427,11 +439,19 @@ class Physics:
         return Run(np.array(vertices_hit, int), result.landed_face)
 
     def _run_bounces(self, start: State, end_s: float) -> Run:
-        """The same until an instant, from bounce to bounce; no impact at all where they follow each other without end before."""
-        try:
-            found = propagate(self.body, start, self.law, [end_s], table=self.plane, parameters=()).throw.impacts
-        except ValueError:
-            found = ()
+        """The same until an instant, from bounce to bounce; where they follow each other without end before, until shortly
+        before that."""
+        found: tuple[Impact, ...] = ()
+        low, high = float(start.time_s), end_s
+        for _ in range(_BISECTIONS):
+            until_s = high if high == end_s and not found else 0.5 * (low + high)
+            try:
+                found = propagate(self.body, start, self.law, [until_s], table=self.plane, parameters=()).throw.impacts
+                low = until_s
+            except ValueError:
+                high = until_s if until_s < high else 0.5 * (low + high)
+            if low == end_s:
+                break
         return Run(np.array([impact.vertices[0] for impact in found], int), None)
 
     def _packed(self, start: State) -> Array | None:

@@ -22,6 +22,7 @@ from .solid import SHAPES as SHAPES
 from .solid import Solid as Solid
 from .solid import convex_solid as convex_solid
 from .solid import inner_vertices as inner_vertices
+from .solid import largest_corner_radius as largest_corner_radius
 from .solid import lowest_face as lowest_face
 from .solid import numbered_solid as numbered_solid
 from .symmetry import die_symmetries as die_symmetries

@@ -28,6 +28,9 @@ ISOTROPY_TOLERANCE = 1e-12
 """Largest deviation of a tensor element from an isotropic tensor, in mean moments, at which a tensor counts as isotropic:
 rounding of the volume integral."""
 
+ROUNDINGS = 10.0
+"""Errors of the corners of a solid (`Solid.rounding`) by which its centroid and inertia may be off."""
+
 CENTRED_TOLERANCE = 1e-12
 """Distance of the centroid of a rounded body from that of the sharp one, in circumradii, at which it counts as the same:
 rounding."""
@@ -199,10 +202,11 @@ def die_from_solid(
     else:
         spread = mass_distribution(solid, corner_radius_m)
         tensor, centre = mass_kg * spread.unit_inertia_m2, spread.centroid_m
-        if np.linalg.norm(centre) <= CENTRED_TOLERANCE * solid.circumradius:
+        if np.linalg.norm(centre) <= max(CENTRED_TOLERANCE, ROUNDINGS * solid.rounding) * solid.circumradius:
             centre = None
     mean = float(np.trace(tensor)) / 3.0
-    is_isotropic = _isotropic_moment(tensor) is not None
+    tolerance = max(ISOTROPY_TOLERANCE, ROUNDINGS * solid.rounding) if is_homogeneous else ISOTROPY_TOLERANCE
+    is_isotropic = _isotropic_moment(tensor, tolerance) is not None
     tensor_given = None if is_isotropic else tensor
     return Die(solid, mass_kg, mean, corner_radius_m, marks, tensor_given, centre, is_homogeneous)
 
@@ -240,10 +244,10 @@ def loaded_die(
     )
 
 
-def _isotropic_moment(tensor: Array) -> float | None:
+def _isotropic_moment(tensor: Array, tolerance: float = ISOTROPY_TOLERANCE) -> float | None:
     """The mean moment of an isotropic tensor (3, 3); None for any other."""
     mean = float(np.trace(tensor)) / 3.0
-    is_isotropic = np.abs(tensor - mean * np.eye(3)).max() <= ISOTROPY_TOLERANCE * mean
+    is_isotropic = np.abs(tensor - mean * np.eye(3)).max() <= tolerance * mean
     return mean if is_isotropic else None
 
 

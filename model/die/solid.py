@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,15 @@ FLAT_RAD = 2e-3
 FLAT_SHARE = 1e-5
 """Distance of a corner of such a face from its plane, in sizes of the solid: rounding at a distance of ten sizes."""
 
+SINGLE_PRECISION = 1e-6
+"""Error of corners in single precision, in circumradii, at a distance of ten of them."""
+
+RADIUS_STEP = 1e-6
+"""Accuracy of the largest corner radius, in inscribed radii."""
+
+CACHED_SOLIDS = 16
+"""Solids whose largest corner radius is kept."""
+
 EQUAL_EDGES = 1e-9
 """Range of the lengths of edges, as a share of one, within which they count as equal: rounding."""
 
@@ -65,6 +74,8 @@ class Solid:
     """(e, 2) vertex indices."""
     edge_faces: NDArray[np.int64]
     """(e, 2) the two faces that meet in each edge. The first has the edge in the order written, the second reversed."""
+    rounding: float = 0.0
+    """Error of the corners, in circumradii, where it is larger than that of double precision."""
     dimensions: Mapping[str, Any] = field(default_factory=dict)
     """What `named_solid` was called with beside the name, in SI units; empty for a solid that was made otherwise."""
 
@@ -127,6 +138,27 @@ def inner_vertices(solid: Solid, radius_m: float) -> Array:
     return corners
 
 
+@lru_cache(maxsize=CACHED_SOLIDS)
+def largest_corner_radius(solid: Solid) -> float:
+    """The largest radius [m] with which `inner_vertices` rounds a solid, to a millionth of the inscribed radius; 0 if corners of
+    more than three faces split at any radius."""
+
+    def can_be(radius_m: float) -> bool:
+        try:
+            inner_vertices(solid, radius_m)
+        except ValueError:
+            return False
+        return True
+
+    low, high = 0.0, solid.inradius
+    if can_be((1.0 - RADIUS_STEP) * high):
+        return (1.0 - RADIUS_STEP) * high
+    while high - low > RADIUS_STEP * solid.inradius:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if can_be(middle) else (low, middle)
+    return low
+
+
 def isohedral_solid(shape: str, edge_m: float) -> Solid:
     """A regular solid with the given edge length [m]. Raises ValueError for a shape that is not in SHAPES."""
     if shape not in SHAPES:
@@ -134,7 +166,7 @@ def isohedral_solid(shape: str, edge_m: float) -> Solid:
     unit = _unit_solid(shape)
     return Solid(
         unit.name, unit.vertices * edge_m, unit.faces, unit.normals, unit.offsets * edge_m, unit.edges, unit.edge_faces,
-        {"edge_m": edge_m},
+        dimensions={"edge_m": edge_m},
     )  # fmt: skip
 
 
@@ -161,7 +193,17 @@ def solid_of_rounded_points(points: ArrayLike, name: str) -> Solid:
     points = np.asarray(points, float)
     hull = ConvexHull(_spanning(points))
     normals = hull.equations[:, :3]
-    flat = [(k, n) for k, row in enumerate(hull.neighbors) for n in row if normals[k] @ normals[n] > np.cos(FLAT_RAD)]
+    # The normal of a sliver is rounding: it belongs to the face across its longest side.
+    corners = points[hull.simplices]
+    sides = np.linalg.norm(
+        corners[:, [1, 2, 0]] - corners[:, [2, 0, 1]], axis=2
+    )  # each opposite to a corner, as neighbours are
+    doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    is_sliver = doubled / sides.max(axis=1) < FLAT_SHARE * np.ptp(points, axis=0).max()
+    flat = [(int(k), int(hull.neighbors[k][sides[k].argmax()])) for k in np.flatnonzero(is_sliver)]
+    for k, row in enumerate(hull.neighbors):
+        plain = [n for n in row if not is_sliver[k] and not is_sliver[n]]
+        flat += [(k, int(n)) for n in plain if normals[k] @ normals[n] > np.cos(FLAT_RAD)]
     links = coo_array((np.ones(len(flat)), np.array(flat, int).reshape(-1, 2).T), shape=(len(normals), len(normals)))
     count, face_of = connected_components(links, directed=False)
     loops = [_loop(points, hull.simplices[face_of == k], normals[face_of == k]) for k in range(count)]
@@ -169,12 +211,15 @@ def solid_of_rounded_points(points: ArrayLike, name: str) -> Solid:
     kept = np.flatnonzero(meeting >= 3)
     number = {int(v): k for k, v in enumerate(kept)}
     faces = tuple(tuple(number[v] for v in loop if v in number) for loop in loops)
+    if min(len(face) for face in faces) < 3:
+        raise ValueError(f"{name}: a face has fewer than three corners; wanted a polyhedron of flat faces")
     vertices = points[kept] - _centroid(points[kept], faces)
     planes = [_plane(vertices[list(face)]) for face in faces]
     size = float(np.ptp(vertices, axis=0).max())
     if any(off > FLAT_SHARE * size for _, off in planes):
         raise ValueError(f"{name}: a face is bent; wanted flat faces")
-    return _with_faces(name, vertices, faces, np.array([normal for normal, _ in planes]))
+    solid = _with_faces(name, vertices, faces, np.array([normal for normal, _ in planes]))
+    return replace(solid, rounding=SINGLE_PRECISION)
 
 
 def _with_faces(name: str, vertices: Array, faces: tuple[tuple[int, ...], ...], normals: Array) -> Solid:

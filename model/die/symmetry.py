@@ -16,7 +16,10 @@ from .solid import Array, Solid, plane_axes
 
 VERTEX_TOLERANCE = 1e-7
 """Distance, in circumradii, within which a rotated vertex counts as equal to another. Rounding is 1e-15; the smallest
-distance between vertices that `solid.MIN_CUT` allows is 1e-6."""
+distance between vertices that `named_solids.MIN_CUT` allows is 1e-6."""
+
+ROUNDINGS = 10.0
+"""Errors of the corners of a solid (`Solid.rounding`) within which they, and scalar products of them, count as equal."""
 
 CONGRUENCE_TOLERANCE = 1e-9
 """Difference of scalar products, in squared circumradii, within which two pairs of vertices are tried as congruent."""
@@ -62,8 +65,9 @@ def die_symmetries(die: Die) -> Array:
     centre, tensor = die.centre_of_mass_offset_m, die.tensor_kg_m2
     moved = np.linalg.norm(rotations @ centre - centre, axis=1)
     changed = np.abs(rotations @ tensor @ rotations.transpose(0, 2, 1) - tensor).max(axis=(1, 2))
-    keeps_centre = moved <= VERTEX_TOLERANCE * die.solid.circumradius
-    keeps_inertia = changed <= INERTIA_TOLERANCE * float(np.trace(tensor))
+    rounding = ROUNDINGS * die.solid.rounding
+    keeps_centre = moved <= max(VERTEX_TOLERANCE, rounding) * die.solid.circumradius
+    keeps_inertia = changed <= max(INERTIA_TOLERANCE, rounding) * float(np.trace(tensor))
     return np.asarray(rotations[keeps_centre & keeps_inertia])
 
 
@@ -84,7 +88,8 @@ def _rotations_onto(solid: Solid, others: Array, *, other_than: Array | None = N
     A rotation is fixed by where it takes two vertices, so every pair of `others` that is congruent to one such pair is tried.
     """
     V = solid.vertices
-    size = solid.circumradius
+    size, rounding = solid.circumradius, ROUNDINGS * solid.rounding
+    congruent, equal = max(CONGRUENCE_TOLERANCE, rounding), max(VERTEX_TOLERANCE, rounding)
     first = int(np.argmax(np.linalg.norm(V, axis=1)))
     second = int(np.argmax(np.linalg.norm(np.cross(V[first], V), axis=1)))
     own = plane_axes(V[first], V[second])
@@ -92,11 +97,13 @@ def _rotations_onto(solid: Solid, others: Array, *, other_than: Array | None = N
     for p in others:
         for q in others:
             mismatch = abs(p @ p - V[first] @ V[first]) + abs(q @ q - V[second] @ V[second])
-            if mismatch + abs(p @ q - V[first] @ V[second]) > CONGRUENCE_TOLERANCE * size**2:
+            if mismatch + abs(p @ q - V[first] @ V[second]) > congruent * size**2:
                 continue
             rotation = plane_axes(p, q) @ own.T
             gaps = np.linalg.norm((V @ rotation.T)[:, None] - others[None], axis=2).min(1)
-            is_excluded = other_than is not None and np.abs(rotation - other_than).max() <= IDENTITY_TOLERANCE
-            if gaps.max() < VERTEX_TOLERANCE * size and not is_excluded:
+            is_excluded = other_than is not None and np.abs(rotation - other_than).max() <= max(
+                IDENTITY_TOLERANCE, rounding
+            )
+            if gaps.max() < equal * size and not is_excluded:
                 found.append(rotation)
     return np.array(found).reshape(-1, 3, 3)

@@ -6,7 +6,8 @@ momentum L, which is constant in flight. With W = R I⁻¹ Rᵀ, so that ω = W 
     δω = δ × ω + W (δL - δ × L),    δ' = δω - δ × ω = W (δL - δ × L).
 
 These linear equations are integrated with the same steps and the same method as the attitude itself. At an impact, with
-the lever t = r × ẑ, S = -(1 + χ) u/(1/m + t·W t) and ΔL = S t, where δ(t·W t) = 2 δt·W t + 2 t·(δ × W t).
+the lever t = r × ẑ, S = -(1 + χ) u/(1/m + t·W t) and ΔL = S t, where δ(t·W t) = 2 δt·W t + 2 t·(δ × W t);
+with friction, see `engine.asymmetric.impact`.
 
 Everything else counts from the state of the centroid. With s the centre of mass in body axes, a = R s and K = R I Rᵀ,
 

@@ -68,7 +68,7 @@ class AsymmetricMotion(SampledFlight):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LoadedMotion(SampledFlight):
-    """Motion of the centroid of a die with one moment of inertia whose centre of mass lies beside it."""
+    """Motion of the centroid of a die whose centre of mass lies beside it."""
 
     of_mass: Flight
     """The motion of the centre of mass."""
@@ -80,7 +80,7 @@ class LoadedMotion(SampledFlight):
         """That of the centroid, from that of the centre of mass."""
         return LoadedMotion(
             start=centroid_state(die, of_mass.start), end_s=of_mass.end_s, gravity_m_s2=of_mass.gravity_m_s2,
-            of_mass=of_mass, centre_of_mass_m=die.centre_of_mass_offset_m,
+            turning=of_mass.turning, of_mass=of_mass, centre_of_mass_m=die.centre_of_mass_offset_m,
         )  # fmt: skip
 
     def at(self, time_s: float) -> State:

@@ -35,8 +35,8 @@ border the two sides are mixed.
 - `corner_radius_m`: the flat faces stay, and the touching points are those of the inner polyhedron (`body`).
 - `inertia_kg_m2`, of a die with the same moment of inertia about every axis.
 - `centre_of_mass_x_m`, `_y_m`, `_z_m`: from the centroid, along the body axes; the tensor about it stays. The start
-  stays that of the centroid. Such a throw, and that of any asymmetric die, uses the kernel of `asymmetric_tangent`, for
-  smooth impacts only.
+  stays that of the centroid. Such a throw, and that of any asymmetric die, uses the kernel of `asymmetric_tangent`,
+  without drag and without a friction that fades.
 - `tilt_x_rad`, `tilt_y_rad`: a further small turn of the table about the world's x and y axes through the origin.
   Gravity and the start stay as they are in the world.
 - `table_amplitude_m`, `table_frequency_hz`, `table_phase_rad`: of an oscillating table. The amplitude acts, with its

@@ -82,6 +82,13 @@ def test_a_wrong_value_of_an_option_ends_with_status_2_and_names_the_option(
     assert not (tmp_path / "out").exists()
 
 
+def test_a_batch_that_only_tracks_refuses_what_tracking_does_not_have(tmp_path: Path) -> None:
+    words = ("batch", tmp_path / "scene.toml", "--only-track", "--intervals", "covariance", "--out", tmp_path / "out")
+    status, _, message = invoke(*words)
+    assert status == 2
+    assert "--intervals beside --only-track" in message
+
+
 SCENE = f"""[clip]
 path = "clip.avi"
 fps = 1500.0

@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -134,6 +135,9 @@ def test_a_finished_clip_is_analysed_again_only_after_a_change(
     assert is_finished(whole)
     assert not is_finished(Task(whole.scene, whole.folder, "track"))
     assert not is_finished(Task(whole.scene, whole.folder, "analyze", FAST))
+    for other in (replace(FAST, every=2), replace(FAST, shrink=2), replace(FAST, timing="as-filmed")):
+        assert not is_finished(Task(whole.scene, whole.folder, "track", other))
+    assert is_finished(Task(whole.scene, whole.folder, "track", replace(FAST, intervals="bootstrap", figures=True)))
     moved = tmp_path / "moved"
     shutil.copytree(scenes[0].parent, moved)
     assert is_finished(Task(moved / "scene.toml", whole.folder, "track", FAST))

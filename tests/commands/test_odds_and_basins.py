@@ -322,3 +322,29 @@ def test_a_die_from_a_file_has_no_second_shape(tmp_path: Path) -> None:
     status, _, message = invoke("odds", "--die", file, "--edge", "0.01", "--out", tmp_path / "out")
     assert status == 2
     assert "--edge beside --die" in message
+
+
+D10 = '[die]\nshape = "d10"\nedge_m = 0.0145\nshort_edge_m = 0.0078\nmass_kg = 0.0035\n'
+
+
+def test_a_die_of_any_shape_is_thrown_to_its_rest(tmp_path: Path) -> None:
+    release = (
+        "[initial]\nposition_m = [0.0, 0.0, 0.08]\nquaternion_wxyz = [0.6, 0.0, 0.8, 0.0]\nvelocity_m_s = [0.1, 0.0, -0.5]\n"
+        "omega_rad_s = [9.0, -14.0, 6.0]\n"
+    )
+    file = tmp_path / "throw.toml"
+    file.write_text(f"{D10}[law]\nchi = 0.5\n{release}")
+    status, _, message = invoke("throw", file, "--out", tmp_path / "out")
+    assert status == 0, message
+    record = json.loads((tmp_path / "out" / "throw.json").read_text())
+    assert record["landed_face"] in range(1, 11)
+    assert record["decidable"] is None
+    assert any("one moment of inertia" in sentence for sentence in record["messages"])
+
+
+def test_exponents_of_a_die_with_several_moments_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "d10.toml"
+    file.write_text(D10)
+    status, _, message = invoke("lyapunov", "--die", file, "--out", tmp_path / "out")
+    assert status == 2
+    assert "a d10: wanted a die with one moment of inertia" in message

@@ -35,6 +35,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.die import Die, largest_corner_radius
 from ...model.rotations import matrix_from_quat
 from ...model.throw import Throw
 from ..picture import (
@@ -89,6 +90,8 @@ RADIUS_RATIO = 1.4
 """Ratio of successive radii."""
 MOST_INRADIUS_SHARE = 0.6
 """Largest radius that is tried, as a share of the inscribed radius."""
+SAFE_SHARE = 0.95
+"""The same, as a share of the largest radius that leaves every face of the solid."""
 MOST_RISE = 0.15
 """Rise of ℓ above its minimum from which larger radii are not tried."""
 SHOULDER = 0.9
@@ -165,6 +168,11 @@ def compared_radius_px(view: View) -> float:
     return TESTED_PX * max(1.0, view.blur_px / TESTED_BLUR_PX)
 
 
+def largest_radius_m(die: Die) -> float:
+    """The largest radius [m] that is tried: more leaves a ball, or lets a face vanish."""
+    return min(MOST_INRADIUS_SHARE * die.solid.inradius, SAFE_SHARE * largest_corner_radius(die.solid))
+
+
 def rounding_gain(view: View, frames: SampledFrames, radius_px: float) -> tuple[float, float]:
     """Mean fall of ℓ from sharp corners to corners of this radius, with outliers clipped, and its standard error.
 
@@ -174,7 +182,7 @@ def rounding_gain(view: View, frames: SampledFrames, radius_px: float) -> tuple[
         return 0.0, np.inf
     px_per_m = scale_px_per_m(view, frames)
     radius_m = radius_px / px_per_m
-    if radius_m > MOST_INRADIUS_SHARE * view.die.solid.inradius:
+    if radius_m > largest_radius_m(view.die):
         return 0.0, np.inf
     settings = _free_poses(view)
     sharp, round_ = (
@@ -212,7 +220,7 @@ def radius_by_free_poses(view: View, frames: SampledFrames) -> CornerRadius | No
     if len(frames) < FEWEST_FRAMES:
         return None
     px_per_m, settings = scale_px_per_m(view, frames), _free_poses(view)
-    largest = MOST_INRADIUS_SHARE * view.die.solid.inradius
+    largest = largest_radius_m(view.die)
     sharp, refined = _misfits(with_corner_radius(view, SHARP_PX / px_per_m), frames, settings)
     radii, gains = [0.0], [0.0]
     radius = LEAST_RADIUS_PX / px_per_m
@@ -238,9 +246,7 @@ def radius_on_flights(
         return None
     px_per_m = scale_px_per_m(view, frames)
     first_m = max(first_m, LEAST_RADIUS_PX / px_per_m)
-    near = np.minimum(
-        first_m * NEAR_RATIO ** np.arange(-NEAR_STEPS, NEAR_STEPS + 1.0), MOST_INRADIUS_SHARE * view.die.solid.inradius
-    )
+    near = np.minimum(first_m * NEAR_RATIO ** np.arange(-NEAR_STEPS, NEAR_STEPS + 1.0), largest_radius_m(view.die))
     radii = np.unique(np.append(SHARP_PX / px_per_m, near))
     free, fixed = _free_poses(view), _free_poses(view)._replace(fine_steps=1)
     first = with_corner_radius(view, first_m)

@@ -27,6 +27,7 @@ from .single_flights import packed as packed
 from .single_flights import perturbed as perturbed
 from .single_flights import pose_jacobian as pose_jacobian
 from .single_flights import rms_residuals as rms_residuals
+from .single_flights import spin_rates as spin_rates
 from .single_flights import transition_matrices as transition_matrices
 from .single_flights import transition_matrix as transition_matrix
 from .single_flights import unpacked as unpacked

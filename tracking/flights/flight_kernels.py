@@ -416,7 +416,7 @@ def _rotation_matrix(w: float, x: float, y: float, z: float) -> Array:
 
 @inner
 def _cross_matrix(x: float, y: float, z: float) -> Array:
-    """(3, 3) that multiplies by v × from the chi2."""
+    """(3, 3) that multiplies by v × from the left."""
     out = np.zeros((3, 3))
     out[0, 1], out[0, 2], out[1, 2] = -z, y, -x
     out[1, 0], out[2, 0], out[2, 1] = z, -y, x

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ...model.die import Die
 from ...model.rotations import continuous_sign, matrix_from_quat, quat_from_matrix
-from ...model.throw import Throw
+from ...model.throw import Throw, turning_of
 from ...model.world import GRAVITY_M_S2
 from ..camera import Camera
 from ..clip_parameters import (
@@ -180,7 +180,7 @@ def track_clip(
     if corners is not None:
         corners, sigma_px = radius_in_flight(view, source, track, corners)
         view = with_corner_radius(view, corners.radius_m)
-        track = replace(track, contour_sigma_px=sigma_px)
+        track = replace(track, contour_sigma_px=sigma_px, turning=turning_of(view.die))
     calibrated = with_calibrated_covariance(track, view.die, view.camera, every=decimation_factor(track, view.die))
     if view.readout_s != 0.0:
         calibrated = _at_frame_times(view, source, calibrated, throw)

@@ -23,6 +23,7 @@ from ..clip_parameters import (
     estimate_lens,
     gain_over_sharp,
     is_rounded,
+    largest_radius_m,
     radius_by_free_poses,
     radius_on_flights,
     sample_in_flight,
@@ -353,7 +354,7 @@ def _track_sharp_or_round(view: View, task: TrackingTask, rounding: CornerRoundi
         return track_once(view, task)
     except NoDieError:
         # A die that is round all over is not found as one with sharp corners.
-        ball = with_corner_radius(view, ROUND_SHARE * view.die.solid.inradius)
+        ball = with_corner_radius(view, min(ROUND_SHARE * view.die.solid.inradius, largest_radius_m(view.die)))
         first, poses = track_once(ball, task)
         if _radius_from_pictures(first, task.source, poses, rounding) is None:
             raise

@@ -1,8 +1,9 @@
 """Steps of a film's clock, found from the motion: frames that are missing, and frames that are there twice.
 
-In flight the centre follows a parabola and the spin is constant, so a die in flight is a clock. Between two neighbouring frames
-the motion before (x_b with covariance C_b, from the W frames before) and the motion behind (x_a, C_a, from the W frames behind,
-at their times as filmed) are compared. If all times behind are late by τ, the states at the gap t obey
+In flight the centre follows a parabola and the spin is constant, or changes as Euler's equations say, so a die in flight is a
+clock. Between two neighbouring frames the motion before (x_b with covariance C_b, from the W frames before) and the motion behind
+(x_a, C_a, from the W frames behind, at their times as filmed) are compared. If all times behind are late by τ, the states at the
+gap t obey
 
     d(τ) = x_a(t) ⊖ x_b(t + τ) = 0,     C(τ) = C_a + T(τ) C_b T(τ)ᵀ,     χ²(τ) = dᵀ C⁻¹ d     (12 numbers),
 
@@ -29,8 +30,6 @@ corrected before the next is sought.
 Frames that repeat the picture before them are left out of the motion. In their gap a step has to be decided in any case: either
 the clock ran on (the picture is frozen), or it stood (the frames are there twice). It is decided by a gain of LEAST_DECISION
 over the second best, at an impact as well.
-
-The moment of inertia is taken as the same about all axes: over a few frames the spin of other bodies is constant as well.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ from numpy.typing import NDArray
 from ...model.engine.asymmetric import TorqueFree
 from ...model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
 from ...model.throw import Turning, turns_in_flight
-from ..flights import WeightedPoses, fit_states, left_jacobians, unpacked
+from ..flights import WeightedPoses, fit_states, left_jacobians, spin_rates, unpacked
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -408,6 +407,8 @@ class _Gaps:
         behind, C_behind = self._behind(self.to_s)
         rate = np.zeros((len(late), 12))
         rate[:, :3], rate[:, 3:6], rate[:, 8] = before[:, 8:11], before[:, 11:14], -self.gravity_m_s2
+        if isinstance(self.turning, TorqueFree):
+            rate[:, 9:] = spin_rates(self.turning, before)
         return _difference(behind, before), C_before + C_behind, rate
 
     def _before(self, times_s: Array) -> tuple[Array, Array]:

@@ -30,7 +30,7 @@ class EvenTurning(NamedTuple):
     """A spherical top: its angular velocity is constant."""
 
     moment: float
-    """[kg m²] about every axis."""
+    """Not read: a rotation at a constant rate needs none."""
 
 
 class TorqueFree(NamedTuple):

@@ -272,9 +272,11 @@ def batch(
         from ..commands.clip.batch import run_batch
         from ..commands.clip.run_options import RunOptions
 
+        options = RunOptions(quality, every, shrink, timing, intervals, embed_replay, figures)
         with checked_options():
             check_half_width(chi_within, trade_file)
-        options = RunOptions(quality, every, shrink, timing, intervals, embed_replay, figures)
+            if only_track:
+                options.refuse_those_of_analyze()
         if chi_within is not None:
             if trade_file is None:
                 stop_with_status(

@@ -97,10 +97,12 @@ Shape = Annotated[
     Literal["tetrahedron", "cube", "octahedron", "dodecahedron", "icosahedron"] | None,
     typer.Option(
         "--shape",
-        help="Of the die; for any other see --die.",
+        help="Of the die; for any other see --die. [default: cube; of basins: tetrahedron]",
     ),
 ]
-Edge = Annotated[float | None, typer.Option("--edge", metavar="M", help="Edge of the die [m].")]
+Edge = Annotated[
+    float | None, typer.Option("--edge", metavar="M", help="Edge of the die [m]. [default: 0.02; of basins: 0.040793]")
+]
 Mass = Annotated[float | None, typer.Option("--mass", metavar="KG", help="Mass of the die [kg]. [default: 0.016]")]
 Mu = Annotated[float | None, typer.Option("--mu", help="Coulomb friction coefficient. [default: smooth impact]")]
 Amplitude = Annotated[float, typer.Option("--amplitude", metavar="M", help="Amplitude of the table's oscillation [m].")]

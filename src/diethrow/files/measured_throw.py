@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.die import Die
-from ..model.throw import Flight, Impact, Throw
+from ..model.throw import Flight, Impact, Throw, turning_of
 from ..tracking.clip_parameters import CornerRounding
 from ..tracking.flights import packed, unpacked
 from ..tracking.surface_marks import FaceNumbers, with_numbers
@@ -136,12 +136,12 @@ def _tracked_throw(arrays: dict[str, NDArray], frames: Track, die: Die) -> Track
     sources = tuple(str(source) for source in arrays["shared_sources"])
     if not set(sources) <= {CALIBRATION, DIE, CLOCK}:
         raise ValueError(f"shared_sources {sources}, wanted {CALIBRATION}, {DIE} or {CLOCK}")
-    flights = []
+    flights, turning = [], turning_of(die)
     for state, end_s, covariance in zip(
         arrays["flight_state"], arrays["flight_end_s"], arrays["flight_covariance"], strict=True
     ):
         known = covariance if np.isfinite(covariance).all() else None
-        flights.append(Flight(unpacked(state), float(end_s), known, frames.gravity_m_s2, frames.turning))
+        flights.append(Flight(unpacked(state), float(end_s), known, frames.gravity_m_s2, turning))
     words = zip(arrays["impact_contact"], arrays["impact_vertices"], strict=True)
     impacts = [
         _impact(numbers, str(contact), str(vertices))
@@ -150,7 +150,7 @@ def _tracked_throw(arrays: dict[str, NDArray], frames: Track, die: Die) -> Track
     shared = SharedErrors(arrays["shared_jacobian"], sources, arrays["shared_subtracted"]) if m else None
     numbers = tuple(int(number) or None for number in arrays["face_numbers"])
     return TrackedThrow(
-        replace(frames, shared_errors=shared),
+        replace(frames, shared_errors=shared, turning=turning),
         Throw(tuple(flights), tuple(impacts)),
         with_numbers(die, FaceNumbers(numbers, 1.0, "")),
         numbers,

@@ -247,6 +247,8 @@ def package_versions() -> dict[str, str]:
 def die_record(die: Die) -> dict[str, Any]:
     """What a result says of the die that was thrown, in the keys of a `[die]` table."""
     record: dict[str, Any] = {"shape": die.solid.name, **die.solid.dimensions, "mass_kg": die.mass_kg}
+    if die.is_spherical_top and not die.is_homogeneous:
+        record["inertia_kg_m2"] = die.inertia_kg_m2
     return {**record, "corner_radius_m": die.corner_radius_m} if die.corner_radius_m else record
 
 

@@ -366,7 +366,7 @@ def _clip(table: _ClipTable, path: Path, files: FilesBeside) -> ClipSource:
 
 def _edge_sigma_m(table: _DieTable, die: Die, path: Path) -> float | None:
     """The standard error of the edge. Raises SceneError for one that says nothing of it."""
-    edge_m = table.edge_m or die.solid.edge_m
+    edge_m = die.solid.edge_m
     most_m = LARGEST_EDGE_SHARE * edge_m
     if table.edge_sigma_m is not None and table.edge_sigma_m > most_m:
         guess = unit_guess(table.edge_sigma_m, (1e-3, 1e-6), lambda sigma: sigma <= most_m)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.typing import NDArray
+from random_throws import random_quaternion
 
 from diethrow.model.die import (
     SOLID_KINDS,
@@ -15,11 +16,13 @@ from diethrow.model.die import (
     Solid,
     die_from_solid,
     inner_vertices,
+    largest_corner_radius,
     make_die,
     named_solid,
     solid_from_mesh,
 )
-from diethrow.model.die.symmetry import symmetry_rotations
+from diethrow.model.die.symmetry import inversion_rotation, symmetry_rotations
+from diethrow.model.rotations import matrix_from_quat
 
 Array = NDArray[np.float64]
 
@@ -170,3 +173,43 @@ def test_what_is_no_solid_is_refused(case: str) -> None:
     shape, dimensions, message = WRONG[case]
     with pytest.raises(ValueError, match=message):
         named_solid(shape, **dimensions)
+
+
+def subdivided(solid: Solid, path: Path, turn: Array) -> Path:
+    """A mesh of the solid, turned, whose triangles are cut in four: with vertices on edges and within faces."""
+    fans = [[face[0], face[j], face[j + 1]] for face in solid.faces for j in range(1, len(face) - 1)]
+    mesh = trimesh.Trimesh(1e3 * solid.vertices @ turn.T, fans, process=False).subdivide()
+    mesh.export(path)
+    return path
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("shape", ["cube", "icosahedron", "d10", "cuboid"])
+def test_a_finely_cut_mesh_is_the_same_solid_with_all_its_symmetries(shape: str, seed: int, tmp_path: Path) -> None:
+    """Vertices in single precision along an edge make slivers, whose normals are rounding."""
+    true = named_solid(shape, **EXAMPLES[shape])
+    turn = matrix_from_quat(random_quaternion(np.random.default_rng(seed)))
+    found = solid_from_mesh(subdivided(true, tmp_path / "die.stl", turn), 1e-3)
+    assert [len(part) for part in (found.vertices, found.faces, found.edges)] == [
+        len(part) for part in (true.vertices, true.faces, true.edges)
+    ]
+    assert len(symmetry_rotations(found)) == len(symmetry_rotations(true))
+    assert (inversion_rotation(found) is None) == (inversion_rotation(true) is None)
+    tops = [die_from_solid(solid, 0.005).is_spherical_top for solid in (found, true)]
+    assert tops[0] == tops[1]
+
+
+@pytest.mark.parametrize("cut", [0.05, 0.2, 0.5])
+def test_the_largest_corner_radius_is_where_a_face_vanishes(cut: float) -> None:
+    solid = named_solid("dipyramid", sides=5, radius_m=0.01, half_height_m=0.012, cut=cut)
+    largest = largest_corner_radius(solid)
+    inner_vertices(solid, largest)
+    with pytest.raises(ValueError, match=r"vanish|inscribed"):
+        inner_vertices(solid, largest + 2e-6 * solid.inradius)
+
+
+def test_a_solid_whose_corners_split_has_no_corner_radius() -> None:
+    corners = [[-0.01, -0.01, 0.0], [0.01, -0.01, 0.0], [0.01, 0.01, 0.0], [-0.01, 0.01, 0.0], [0.004, 0.001, 0.015]]
+    solid = named_solid("polyhedron", corners_m=corners)
+    # Within the tolerance with which planes still meet in one point.
+    assert largest_corner_radius(solid) < 1e-3 * solid.inradius

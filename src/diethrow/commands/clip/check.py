@@ -118,6 +118,7 @@ def _measured(scene: Scene, view: View, clip: Clip, timing: Timing, start: Manua
 
 
 def record(check: Check) -> dict[str, object]:
+    """The contents of check.json."""
     tried = [_frames_tried(measured.tracked_part) for measured in check.measured]
     return {
         "verdict": max((finding.verdict for finding in check.findings), key=list(Verdict).index).value,

@@ -7,7 +7,7 @@ bounce by bounce, and the bounce after which the face is decided (`decided`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -135,6 +135,8 @@ def predict(path: Path, scene: Scene, law: Law, from_frame: str, draws: int) -> 
     table = scene.table.in_model
     track = read_track(path, table.gravity_m_s2, turning_of(scene.die))
     tracked = read_measured_throw(path, track, scene.die, scene.rounding)
+    if tracked is not None:
+        track = replace(track, turning=turning_of(tracked.die))
     physics = physics_of(law, scene.given_die() if tracked is None else tracked.die, table)
     row = first_bounce_row(track, physics.die) if from_frame == FIRST_BOUNCE else _row_of(track, int(from_frame))
     release = release_before(track, physics.body, row)

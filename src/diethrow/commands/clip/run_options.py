@@ -30,6 +30,13 @@ class RunOptions:
         drawn = [f"--{name.replace('_', '-')}" for name in flags if getattr(self, name)]
         return ("--quality", self.quality, *words, *drawn)
 
+    def refuse_those_of_analyze(self) -> None:
+        """Raise ValueError, naming the option, for one that the tracking stage does not have."""
+        own = self.words("track")
+        for word in self.words("analyze"):
+            if word.startswith("--") and word not in own:
+                raise ValueError(f"{word} beside --only-track: the tracking stage has no such option; leave it out")
+
     def arguments(self, stage: Stage) -> dict[str, Any]:
         """The same as arguments of `analyze` or of `track_only`. Raises ValueError for a value that is none."""
         from ...analysis import Shown

@@ -147,7 +147,8 @@ def read_trade(path: Path) -> tuple[Setting, ...]:
 
 
 def setting_from(measured: Path, within: float) -> tuple[str, Decimation]:
-    """The same by the trade.json of a similar scene alone. Raises ValueError if none of its settings is accurate enough."""
+    """Quality and decimation by the trade.json of this or a similar scene. Raises ValueError if no setting in it is accurate
+    enough."""
     best = fastest_within([s for s in read_trade(measured) if s.kind == "tracking"], within)
     if best is None:
         raise ValueError(f"{measured}: no setting in it gives χ to ±{within:g}; ask for less, or use --quality fine")
@@ -417,7 +418,8 @@ def _models(finest: Run, progress: Progress) -> Iterator[Setting]:
     for tolerance in TOLERANCES_M:
         stage = ThrowSetup(plain, law, precision=Precision(contact_tolerance_m=tolerance))
         choices.append((f"events, roots to {tolerance:.0e} m", partial(_landed, stage, starts)))
-    for step_s in STEPS_S:
+    # Fixed steps follow dice with one moment of inertia.
+    for step_s in STEPS_S if plain.is_spherical_top else ():
         for single in (False, True):
             name = f"steps of {1e6 * step_s:g} µs, {'single' if single else 'double'} precision"
             choices.append((name, partial(stepped_landings, plain, chi, starts, step_s, single=single)))

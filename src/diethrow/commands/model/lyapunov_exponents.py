@@ -17,7 +17,7 @@ from ...model.die import Die
 from ...model.ensembles import ErrorGrowth, LyapunovExponents, ThrowSetup, error_growth, largest_lyapunov_exponent
 from ...model.laws import LEVEL, ImpactLaw, Table
 from ...model.rotations import matrix_from_quat, quat_from_euler
-from ...model.throw import State, checked_release
+from ...model.throw import BodyKind, State, body_kind, checked_release
 from ...replay.figures import convergence, growth_curve
 from .face_odds import impact_law_of
 
@@ -56,6 +56,10 @@ class LyapunovPlan:
             raise ValueError(
                 f"impacts {self.impacts}, orbits {self.orbits}, leave-out {self.left_out}, seed {self.seed}: "
                 "wanted at least 2 impacts and 1 orbit, and 0 or more of the others"
+            )
+        if body_kind(self.die) is not BodyKind.CENTRED:
+            raise ValueError(
+                f"a {self.die.solid.name}: wanted a die with one moment of inertia about its centroid, as exponents need it"
             )
         checked_release(self.die, self.start, self.table)
         assert self.law.parameters.size  # raises ValueError for impossible values

@@ -16,7 +16,7 @@ from ...files.provenance import Stopwatch, write_provenance
 from ...files.settings import refuse
 from ...files.throw_records import simulated_track, write_bounces, write_simulated, write_vertices
 from ...model.ensembles import ThrowSetup, decidable_in_double_precision
-from ...model.throw import Ending, ThrowResult, Until, throw_die
+from ...model.throw import BodyKind, Ending, ThrowResult, Until, body_kind, throw_die
 from ...replay.figures import throw_heights
 from ...replay.pages import throw_page
 from ...replay.recording import write_throw_recording
@@ -59,6 +59,11 @@ def throw(
     return result
 
 
+UNDECIDED = "Whether this throw is decidable in double precision is unknown"
+STOPPED_BEFORE = "the simulation stopped before its end"
+OF_ONE_MOMENT = "it is computed for dice with one moment of inertia about their centroid"
+
+
 def rows_of(plan: Plan, result: ThrowResult) -> Track:
     """The poses at t = k / fps, from the release to the end of the last flight."""
     end_s = result.throw.flights[-1].end_s
@@ -81,13 +86,10 @@ def throw_table(plan: Plan, result: ThrowResult) -> dict[str, Any]:
     if result.landed_face is None and result.ending is not Ending.RESTED:
         messages.append("Landing face unknown: the die is not at rest on a face when the throw ends.")
     ended = result.landed_face is not None or result.ending not in _STOPPED
+    is_centred = body_kind(plan.die) is BodyKind.CENTRED
     setup = ThrowSetup(plan.die, plan.law, plan.model_table)
-    check = decidable_in_double_precision(setup, plan.release) if ended else None
-    messages.append(
-        check.sentence
-        if check
-        else "Whether this throw is decidable in double precision is unknown: the simulation stopped before its end."
-    )
+    check = decidable_in_double_precision(setup, plan.release) if ended and is_centred else None
+    messages.append(check.sentence if check else f"{UNDECIDED}: {STOPPED_BEFORE if is_centred else OF_ONE_MOMENT}.")
     return {
         "landed_face": result.landed_face,
         "ending": result.ending.name.lower(),
