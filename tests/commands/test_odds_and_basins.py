@@ -314,6 +314,8 @@ def test_a_die_of_any_shape_is_thrown_from_its_file(tmp_path: Path) -> None:
     assert record["die"] == {"shape": "d10", "edge_m": 0.0145, "short_edge_m": 0.0078, "mass_kg": 0.0035}
     faces = record["series"][0]["landed"]
     assert len(faces) == 10
+    origin = json.loads((tmp_path / "out" / "provenance.json").read_text())
+    assert [Path(each["path"]).name for each in origin["inputs"]] == ["d10.toml"]
 
 
 def test_a_die_from_a_file_has_no_second_shape(tmp_path: Path) -> None:

@@ -279,8 +279,10 @@ def odds(
             from ..commands.model.face_odds import OddsPlan
             from ..model.laws import Table
 
+            thrown, files = chosen_die(die, shape, edge, mass)
             plan = OddsPlan(
-                die=chosen_die(die, shape, edge, mass),
+                die=thrown,
+                die_files=files,
                 chi=tuple(chi or (0.5,)),
                 omega_rad_s=omega,
                 conditions=conditions,
@@ -367,11 +369,13 @@ def basins(
             from ..model.laws import Table
 
             horizontal, vertical = axes_of(x, y, zoom, pixels)
+            thrown, files = chosen_die(die, shape, edge, mass, usual=("tetrahedron", 0.040793))
             plan = BasinsPlan(
                 x=horizontal,
                 y=vertical,
                 fixed=fixed_from(fix or []),
-                die=chosen_die(die, shape, edge, mass, usual=("tetrahedron", 0.040793)),
+                die=thrown,
+                die_files=files,
                 chi=chi,
                 mu=mu,
                 table=Table(amplitude_m=amplitude, frequency_hz=frequency, phase_rad=phase),
@@ -433,8 +437,10 @@ def lyapunov(
             from ..commands.model.lyapunov_exponents import LyapunovPlan
             from ..model.laws import Table
 
+            thrown, files = chosen_die(die, shape, edge, mass)
             plan = LyapunovPlan(
-                die=chosen_die(die, shape, edge, mass),
+                die=thrown,
+                die_files=files,
                 chi=chi,
                 mu=mu,
                 table=Table(amplitude_m=amplitude, frequency_hz=frequency, phase_rad=phase),

@@ -129,13 +129,14 @@ def chosen_die(
     edge_m: float | None,
     mass_kg: float | None,
     usual: tuple[str, float] = ("cube", 0.02),
-) -> Die:
-    """The die of a file, or of a shape with its edge and mass. Raises ValueError for both, and for an impossible die."""
+) -> tuple[Die, tuple[Path, ...]]:
+    """The die of a file with the files that describe it, or of a shape with its edge and mass. Raises ValueError for both, and
+    for an impossible die."""
     if file is None:
         from ..model.die import make_die
 
         mass_kg = USUAL_MASS_KG if mass_kg is None else mass_kg
-        return make_die(shape or usual[0], usual[1] if edge_m is None else edge_m, mass_kg)
+        return make_die(shape or usual[0], usual[1] if edge_m is None else edge_m, mass_kg), ()
     given = [name for name, value in (("--shape", shape), ("--edge", edge_m), ("--mass", mass_kg)) if value is not None]
     if given:
         raise ValueError(

@@ -198,8 +198,9 @@ class _DieFile(TomlTable):
     die: DieTable = Field(description="a [die] table with shape, its lengths (edge_m) and mass_kg")
 
 
-def read_die(path: Path) -> Die:
-    """The die of a scene, of a throw file, or of a file with a `[die]` table alone. Raises SceneError, one sentence a mistake."""
+def read_die(path: Path) -> tuple[Die, tuple[Path, ...]]:
+    """The die of a scene, of a throw file, or of a file with a `[die]` table alone, and the files that describe it. Raises
+    SceneError, one sentence a mistake."""
     data, _ = read_toml(path)
     given = data.get("die")
     if isinstance(given, dict):
@@ -207,7 +208,8 @@ def read_die(path: Path) -> Die:
     table = validate(_DieFile, {key: value for key, value in data.items() if key == "die"}, path).die
     if table.corner_radius_m == ESTIMATE:
         raise refuse(path, "die.corner_radius_m", ESTIMATE, "there are no pictures to estimate from; wanted metres")
-    return die_from(table, path, FilesBeside(path, allow_outside=True))[0]
+    die, mesh = die_from(table, path, FilesBeside(path, allow_outside=True))
+    return die, (path,) if mesh is None else (path, mesh)
 
 
 def is_mesh(shape: str) -> bool:

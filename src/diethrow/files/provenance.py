@@ -30,6 +30,7 @@ PACKAGES = (
     "rerun-sdk",
     "scipy",
     "tifffile",
+    "trimesh",
 )
 """Packages whose version can change a result."""
 

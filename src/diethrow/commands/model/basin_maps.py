@@ -81,6 +81,9 @@ class BasinsPlan:
     seed: int = 1
     """Seed of the conditions whose predictability is measured."""
 
+    die_files: tuple[Path, ...] = ()
+    """The files that describe the die, if any do."""
+
     def __post_init__(self) -> None:
         if self.at_impact is not None and not 1 <= self.at_impact <= MAX_AT_IMPACT:
             raise ValueError(f"at impact {self.at_impact}: wanted a number from 1 to {MAX_AT_IMPACT}")
@@ -146,7 +149,7 @@ def basins(
     work file with other settings.
     """
     watch, work = Stopwatch(), WorkFile(out, plan)
-    with whole_folder(out, force=force) as folder:
+    with whole_folder(out, force=force, inputs=plan.die_files) as folder:
         with watch.stage("map"):
             mapped = _mapped(plan, work, resume, threads, executor, progress)
         measured = None
@@ -174,6 +177,7 @@ def basins(
             folder,
             command=command,
             understood=plan,
+            inputs=plan.die_files,
             seconds=watch.seconds,
             seeds={"predictability": plan.seed} if plan.predictability else {},
         )

@@ -68,6 +68,9 @@ class OddsPlan:
     """Coulomb friction coefficient; None for the paper's smooth impact."""
     table: Table = LEVEL
 
+    die_files: tuple[Path, ...] = ()
+    """The files that describe the die, if any do."""
+
     def __post_init__(self) -> None:
         if self.conditions not in CONDITIONS:
             raise ValueError(f"conditions {self.conditions!r}: wanted one of {', '.join(CONDITIONS)}")
@@ -120,7 +123,7 @@ def odds(
     OutputExistsError if the folder exists (unless `force`), ValueError for a work file with other settings.
     """
     watch, work = Stopwatch(), WorkFile(out, plan)
-    with whole_folder(out, force=force) as folder:
+    with whole_folder(out, force=force, inputs=plan.die_files) as folder:
         with watch.stage("throws"):
             default_chunk = BLOCK if executor is None else BLOCKS_PER_TASK * BLOCK
             tallies = _tallies(plan, work, resume, threads, executor, chunk or default_chunk, progress)
@@ -129,7 +132,14 @@ def odds(
             write_rows(folder / "odds.csv", plan, tallies)
         with watch.stage("figure"):
             draw_odds(folder / "odds.png", plan, tallies)
-        write_provenance(folder, command=command, understood=plan, seconds=watch.seconds, seeds={"throws": plan.seed})
+        write_provenance(
+            folder,
+            command=command,
+            understood=plan,
+            inputs=plan.die_files,
+            seconds=watch.seconds,
+            seeds={"throws": plan.seed},
+        )
     work.remove()
     return tallies
 

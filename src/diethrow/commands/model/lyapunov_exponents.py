@@ -51,6 +51,9 @@ class LyapunovPlan:
     velocity_m_s: tuple[float, float, float] = (0.6, 0.0, -0.7)
     omega_body_rad_s: tuple[float, float, float] = (0.0, 60.0, 0.0)
 
+    die_files: tuple[Path, ...] = ()
+    """The files that describe the die, if any do."""
+
     def __post_init__(self) -> None:
         if self.impacts < 2 or self.orbits < 1 or self.left_out < 0 or self.seed < 0:
             raise ValueError(
@@ -95,14 +98,21 @@ def lyapunov(
     Raises OutputExistsError if the folder exists (unless `force`).
     """
     watch = Stopwatch()
-    with whole_folder(out, force=force) as folder:
+    with whole_folder(out, force=force, inputs=plan.die_files) as folder:
         with watch.stage("orbits"):
             result = _computed(plan, progress)
         with watch.stage("records"):
             write_json(folder / "lyapunov.json", lyapunov_table(plan, result))
         with watch.stage("figure"):
             draw(folder / "lyapunov.png", plan, result)
-        write_provenance(folder, command=command, understood=plan, seconds=watch.seconds, seeds={"orbits": plan.seed})
+        write_provenance(
+            folder,
+            command=command,
+            understood=plan,
+            inputs=plan.die_files,
+            seconds=watch.seconds,
+            seeds={"orbits": plan.seed},
+        )
     return result
 
 
