@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import logging
 import os
 import shutil
 import signal
@@ -168,6 +169,18 @@ def test_the_time_left_is_reported(scenes: list[Path], tmp_path: Path) -> None:
     assert reports[0].left_s is not None
     assert reports[0].left_s > 0
     assert reports[-1].left_s == 0
+
+
+def test_each_clip_that_is_done_is_in_the_log(
+    scenes: list[Path], tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(logging.getLogger("diethrow"), "propagate", True)
+    with caplog.at_level(logging.INFO, "diethrow"), Processes(1) as processes:
+        track(scenes[:2], tmp_path / "out", processes)
+    failed, done = sorted(record.getMessage() for record in caplog.records)
+    assert done.startswith("whole: tracked, ")
+    assert failed.startswith("broken: failed: ")
+    assert "clip.path" in failed
 
 
 def test_folders_are_named_after_scenes_and_never_the_same(tmp_path: Path) -> None:

@@ -193,25 +193,14 @@ def as_typed() -> tuple[str, ...]:
     return ("diethrow", *sys.argv[1:])
 
 
-def interval_method(name: str) -> IntervalMethod:
-    """The interval method of that name. Raises ValueError for an unknown name."""
-    from ..fitting.results import INTERVAL_METHODS
-
-    for method in INTERVAL_METHODS:
-        if name == method:
-            return method
-    raise ValueError(f"--intervals {name}: wanted {', '.join(INTERVAL_METHODS)}")
-
-
-def choices_of(intervals: str, misfit_limit: float | None, usual_friction: str | None) -> Choices:
+def choices_of(intervals: IntervalMethod, misfit_limit: float | None, usual_friction: str | None) -> Choices:
     """What a fit assumes, from the options of the command line. Raises ValueError that names the option."""
     from ..fitting.results import USUAL_CHOICES, Choices
 
-    method = interval_method(intervals)
     limit = USUAL_CHOICES.misfit_limit if misfit_limit is None else misfit_limit
     try:
         usual = USUAL_CHOICES.usual_friction if usual_friction is None else _number_or_none(usual_friction)
-        return Choices(method, limit, usual)
+        return Choices(intervals, limit, usual)
     except ValueError as error:
         text = str(error)
         for name in ("misfit_limit", "usual_friction"):

@@ -9,6 +9,7 @@ wherever the work is done.
 from __future__ import annotations
 
 import csv
+import logging
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -32,6 +33,8 @@ TRACK_FILES = ("provenance.json", "track.csv", "bounces.csv")
 """Files that every finished folder holds."""
 TABLES_EVERY_S = 2.0
 """Shortest time [s] between two updates of the tables; the final tables are always written."""
+
+LOGGER = logging.getLogger("diethrow")
 
 Kind = Literal["scene", "clip", "output", "worker", "error"]
 
@@ -313,8 +316,15 @@ class _Ledger:
         """Enter outcomes as they arrive, and update the tables."""
         self._begin = time.monotonic()
         for task, failure in outcomes:
-            self._known[task] = failure or result_of(task)
+            self._known[task] = outcome = failure or result_of(task)
             self._fresh += 1
+            # Workers may be other machines; what they log stays there.
+            if isinstance(outcome, Result):
+                LOGGER.info(
+                    "%s: %s, %d bounces, %.3f s", outcome.folder, outcome.verdict, outcome.bounces, outcome.seconds
+                )
+            else:
+                LOGGER.info("%s: failed: %s", task.folder.name, outcome.reason)
             if time.monotonic() - self._written > TABLES_EVERY_S:
                 self.write()
             self._report(task)
