@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import logging
 import os
 import shutil
@@ -146,6 +147,26 @@ def test_a_finished_clip_is_analysed_again_only_after_a_change(
         pixels.write(b"\1")
     assert not is_finished(Task(moved / "scene.toml", whole.folder, "track", FAST))
     monkeypatch.setattr(diethrow.commands.clip.batch, "__version__", "0.0.0")
+    assert not is_finished(whole)
+
+
+def test_a_folder_with_a_damaged_file_is_not_finished(scenes: list[Path], done: Path, tmp_path: Path) -> None:
+    shutil.copytree(done, tmp_path / "out")
+    whole = tasks_of(scenes, tmp_path / "out", "track", FAST)[0]
+    shutil.copytree(whole.folder, tmp_path / "fitted")
+    fitted = Task(whole.scene, tmp_path / "fitted", "analyze", FAST)
+    origin = fitted.folder / "provenance.json"
+    contents = json.loads(origin.read_text())
+    contents["command"] = list(fitted.command)
+    origin.write_text(json.dumps(contents))
+    chi = {"value": 0.5, "low": 0.4, "high": 0.6, "level": 0.95}
+    fit = json.dumps({"parameters": {"chi": chi}, "bounces_fitted": 2, "residual_rms": 1.0, "landed_face": 1})
+    (fitted.folder / "fit.json").write_text(fit)
+    assert is_finished(fitted)
+    for damaged in (fit[: len(fit) // 2], "{}", ""):
+        (fitted.folder / "fit.json").write_text(damaged)
+        assert not is_finished(fitted)
+    (whole.folder / "track.csv").write_text("frame\n1\n")
     assert not is_finished(whole)
 
 

@@ -33,6 +33,18 @@ def test_the_numbers_of_a_repeated_run_agree_bit_for_bit(thrown: Path) -> None:
     assert sorted(thrown.parent.iterdir()) == before
 
 
+def test_the_output_may_be_one_word_and_no_scheduler_is_called(thrown: Path) -> None:
+    origin = thrown / "provenance.json"
+    contents = json.loads(origin.read_text())
+    for scheduler in (["--scheduler", "tcp://192.0.2.1:8786"], ["--scheduler=tcp://192.0.2.1:8786"]):
+        command = ["diethrow", "throw", "throw.toml", "--out=out", *scheduler]
+        origin.write_text(json.dumps({**contents, "command": command}))
+        # `throw` has no scheduler: were the words left in, it would refuse them.
+        status, said, _ = invoke("rerun", thrown)
+        assert status == 0
+        assert "agree bit for bit" in said
+
+
 def test_numbers_that_differ_are_named_with_their_difference(thrown: Path) -> None:
     table = thrown / "bounces.csv"
     header, first, *rest = table.read_text().splitlines()
@@ -76,6 +88,8 @@ def test_tables_are_compared_by_columns_and_json_by_keys(tmp_path: Path) -> None
         )
         (folder / "c.csv").write_text("same\n1\n")
     (new / "d.csv").write_text("more\n")
+    (old / "e.csv").write_text("")
+    (new / "e.csv").write_text("t_s\n1.0\n")
     same, differences = compare(old, new)
     assert same == ("c.csv",)
     found = {(each.file, each.column): each.share for each in differences}
@@ -83,4 +97,5 @@ def test_tables_are_compared_by_columns_and_json_by_keys(tmp_path: Path) -> None
     assert found[("a.csv", "contact")] == float("inf")
     assert found[("b.json", "parameters.chi.value")] == pytest.approx(0.1 / 1.1)
     assert found[("d.csv", "the file")] == float("inf")
-    assert len(found) == 4
+    assert found[("e.csv", "t_s")] == float("inf")
+    assert len(found) == 5

@@ -183,7 +183,7 @@ def tasks_of(
 
 
 def is_finished(task: Task) -> bool:
-    """Whether the folder of a task exists and was made by this version, stage and options from the present bytes."""
+    """Whether the folder of a task can be read, and was made by this version, stage and options from the present bytes."""
     wanted = (*TRACK_FILES, *(("fit.json",) if task.stage == "analyze" else ()))
     if not all((task.folder / name).is_file() for name in wanted):
         return False
@@ -193,6 +193,10 @@ def is_finished(task: Task) -> bool:
         return False
     from .track import input_paths
 
+    try:
+        result_of(task)
+    except (AttributeError, KeyError, TypeError, ValueError, OSError, csv.Error):
+        return False  # damaged: analysing it again mends it
     try:
         now = files_read(input_paths(read_scene(task.scene, allow_outside=task.allow_outside)))
     except (SceneError, OSError):
@@ -264,21 +268,21 @@ def result_of(task: Task) -> Result:
         bounces = sum(1 for _ in csv.DictReader(file))
     origin = read_json(folder / "provenance.json")
     fit = read_json(folder / "fit.json") if task.stage == "analyze" else None
-    chi = fit["parameters"]["chi"] if fit else dict.fromkeys(("value", "low", "high", "level"))
+    chi = fit["parameters"]["chi"] if fit is not None else dict.fromkeys(("value", "low", "high", "level"))
     return Result(
         scene=str(task.scene),
         folder=folder.name,
         frames=len(statuses),
         tracked=statuses.count("tracked"),
         bounces=bounces,
-        bounces_fitted=fit and fit["bounces_fitted"],
+        bounces_fitted=None if fit is None else fit["bounces_fitted"],
         chi=chi["value"],
         chi_low=chi["low"],
         chi_high=chi["high"],
         level=chi["level"],
-        residual_rms=fit and fit["residual_rms"],
-        landed_face=fit and fit["landed_face"],
-        verdict=_verdict(chi) if fit else "tracked",
+        residual_rms=None if fit is None else fit["residual_rms"],
+        landed_face=None if fit is None else fit["landed_face"],
+        verdict="tracked" if fit is None else _verdict(chi),
         seconds=round(sum(origin["timings_s"].values()), 3),
     )
 

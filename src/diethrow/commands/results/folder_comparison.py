@@ -69,7 +69,9 @@ def columns_of(path: Path) -> dict[str, list[Any]]:
     if path.suffix == ".csv":
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.reader(file))
-        return {name: [row[k] if k < len(row) else "" for row in rows[1:]] for k, name in enumerate(rows[0])}
+        return {
+            name: [row[k] if k < len(row) else "" for row in rows[1:]] for k, name in enumerate(rows[0] if rows else [])
+        }
     if path.suffix == ".json":
         columns: dict[str, list[Any]] = {}
         for name, value in _leaves(read_json(path)):

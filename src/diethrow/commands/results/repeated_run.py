@@ -92,13 +92,29 @@ def _command_of(origin: Any, folder: Path) -> tuple[list[str], Path]:
         raise ValueError(
             f"{folder}: provenance.json does not state command and folder; wanted results of diethrow"
         ) from error
-    if len(words) < 2 or "--out" not in words[:-1]:
+    arguments, places = _without(words[1:], "--out")
+    if not arguments or not places:
         raise ValueError(
             f"{folder}: provenance.json names no command that can be repeated: wanted one with --out, got {words}"
         )
-    at = words.index("--out")
-    arguments = words[1:at] + words[at + 2 :]
+    # The numbers are the same on every scheduler, and a folder from elsewhere must not make this machine call another.
+    arguments, _ = _without(arguments, "--scheduler")
     return [word for word in arguments if word not in ("--force", "--resume")], start_folder
+
+
+def _without(words: list[str], option: str) -> tuple[list[str], list[str]]:
+    """The words without an option, and its values: `--option VALUE` or `--option=VALUE`."""
+    kept: list[str] = []
+    values: list[str] = []
+    left = iter(words)
+    for word in left:
+        if word == option:
+            values += [value for value in [next(left, None)] if value is not None]
+        elif word.startswith(f"{option}="):
+            values.append(word.partition("=")[2])
+        else:
+            kept.append(word)
+    return kept, values
 
 
 def _check_inputs(origin: Any, start_folder: Path, folder: Path) -> None:
