@@ -66,6 +66,7 @@ def test_a_prediction_has_one_row_per_row_of_its_track(throws: Path, fitted: Pat
     assert "after bounces" in output
     predicted, beside = read_simulated(out), json.loads(out.with_suffix(".json").read_text())
     assert len(predicted) == 196
+    assert "throw_0.csv" in {Path(each["path"]).name for each in beside["provenance"]["inputs"]}
     assert beside["frames_used"] >= 3
     assert set(beside["decided"]) == {"face", "bounces", "t_s"}
     status, _, notes = invoke("predict", throws / "throw_0.csv", *wanted)
@@ -80,7 +81,14 @@ def test_predictions_of_several_tracks_fill_a_folder(throws: Path, fitted: Path)
     assert status == 0, notes
     assert "2 throws predicted" in output
     assert "falling.csv is left out" in notes
-    assert {path.name for path in out.iterdir()} == {"throw_1.csv", "throw_1.json", "throw_2.csv", "throw_2.json"}
+    files = {"throw_1.csv", "throw_1.json", "throw_2.csv", "throw_2.json", "provenance.json"}
+    assert {path.name for path in out.iterdir()} == files
+    origin = json.loads((out / "provenance.json").read_text())
+    read = {Path(each["path"]).name for each in origin["inputs"]}
+    assert read >= {"scene.toml", "fit.json", "throw_1.csv", "throw_2.csv"}
+    status, said, notes = invoke("rerun", out)
+    assert status == 0, said + notes
+    assert "agree bit for bit, in all 4 files" in said
 
 
 @pytest.mark.parametrize(

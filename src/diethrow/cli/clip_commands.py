@@ -226,9 +226,19 @@ def predict(
         from ..fitting.predict import DRAWS
 
         drawn = (DRAWS if len(tracks) == 1 else 0) if draws is None else draws
+        read = (*map(str, tracks), "--scene", str(scene), "--fit", str(fit), "--from-frame", from_frame)
+        command = ("diethrow", "predict", *read, "--draws", str(drawn), *output_words(out, force))
         with progress_bars() as progress:
             made, left_out = predict_tracks(
-                tracks, checked, fit, out, from_frame=from_frame, draws=drawn, force=force, progress=progress
+                tracks,
+                checked,
+                fit,
+                out,
+                from_frame=from_frame,
+                draws=drawn,
+                force=force,
+                progress=progress,
+                command=command,
             )
         if as_json:
             print_json({"out": str(out), "throws": [prediction_table(one) for one in made], "left_out": left_out})

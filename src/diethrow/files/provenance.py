@@ -201,23 +201,36 @@ def write_provenance(
     `understood` is the frozen value that the command read (a Scene, a Plan); `found` holds what was estimated because
     the file does not give them; inputs as for `files_read`, or the `Inputs` of the run.
     """
-    read = inputs.files if isinstance(inputs, Inputs) else files_read(inputs)
-    write_json(
-        folder / "provenance.json",
-        {
-            "diethrow": __version__,
-            "command": list(command),
-            "folder": os.getcwd(),
-            "understood": as_tables(understood),
-            **({"found": found} if found else {}),
-            "inputs": [{"path": file.path, "bytes": file.bytes, "sha256": file.sha256} for file in read],
-            "seeds": seeds or {},
-            "python": platform.python_version(),
-            "platform": platform.platform(),
-            "packages": package_versions(),
-            "timings_s": _rounded(seconds),
-        },
+    table = provenance_table(
+        command=command, understood=understood, seconds=seconds, inputs=inputs, seeds=seeds, found=found
     )
+    write_json(folder / "provenance.json", table)
+
+
+def provenance_table(
+    *,
+    command: tuple[str, ...],
+    understood: Any,
+    seconds: dict[str, float],
+    inputs: tuple[Path, ...] | Inputs = (),
+    seeds: dict[str, int] | None = None,
+    found: dict[str, object] | None = None,
+) -> dict[str, Any]:
+    """The contents of `provenance.json`, for results that have no folder of their own."""
+    read = inputs.files if isinstance(inputs, Inputs) else files_read(inputs)
+    return {
+        "diethrow": __version__,
+        "command": list(command),
+        "folder": os.getcwd(),
+        "understood": as_tables(understood),
+        **({"found": found} if found else {}),
+        "inputs": [{"path": file.path, "bytes": file.bytes, "sha256": file.sha256} for file in read],
+        "seeds": seeds or {},
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "packages": package_versions(),
+        "timings_s": _rounded(seconds),
+    }
 
 
 def add_timings(path: Path, seconds: dict[str, float]) -> None:

@@ -19,6 +19,7 @@ from ...files.csv_and_json import write_json
 from ...files.fit_records import read_parameters, state_table
 from ...files.measured_throw import read_measured_throw, throw_path
 from ...files.outputs import whole_file, whole_folder
+from ...files.provenance import Stopwatch, provenance_table, write_provenance
 from ...files.scene import Scene
 from ...files.throw_records import covariance_path, read_track, write_simulated
 from ...fitting.predict import Decision, FaceOdds, ReleaseState, decide, first_bounce_row, predict_track, release_before
@@ -60,10 +61,12 @@ def predict_tracks(
     draws: int,
     force: bool = False,
     progress: Progress = silent,
+    command: tuple[str, ...] = (),
 ) -> tuple[tuple[Prediction, ...], tuple[str, ...]]:
     """Predict every track from `from_frame` on, a frame number or FIRST_BOUNCE, and write the predictions.
 
-    One track: `out` is a CSV, with a JSON beside it. Several: a folder with both for each. Returns the predictions and
+    One track: `out` is a CSV, with a JSON beside it, which holds the provenance. Several: a folder with both for each, and
+    `provenance.json`. `command` is the command line that it states. Returns the predictions and
     a sentence for each effect of the fit and each track that is left out. Raises RunError if no track can be predicted,
     ValueError for a file that is no fit or a frame that is no number.
     """
@@ -77,6 +80,7 @@ def predict_tracks(
             f"two tracks are called {max(names, key=names.count)}: wanted names that differ, one file each"
         )
     inputs = (*scene.settings_paths, fit_path, *track_paths, *_beside(track_paths))
+    watch = Stopwatch()
     predicted = partial(_predicted, track_paths, scene, law, from_frame, draws, progress)
     if len(track_paths) == 1:
         beside = out.with_suffix(".json")
@@ -84,13 +88,17 @@ def predict_tracks(
             whole_file(out, force=force, inputs=inputs) as csv_file,
             whole_file(beside, force=force, inputs=inputs) as json_file,
         ):
-            made, left_out = predicted()
-            _write(made[0], csv_file, json_file)
+            with watch.stage("predict"):
+                made, left_out = predicted()
+            origin = provenance_table(command=command, understood=scene, seconds=watch.seconds, inputs=inputs)
+            _write(made[0], csv_file, json_file, provenance=origin)
     else:
         with whole_folder(out, force=force, inputs=inputs) as folder:
-            made, left_out = predicted()
+            with watch.stage("predict"):
+                made, left_out = predicted()
             for one in made:
                 _write(one, folder / f"{one.track.stem}.csv", folder / f"{one.track.stem}.json")
+            write_provenance(folder, command=command, understood=scene, seconds=watch.seconds, inputs=inputs)
     return tuple(made), (*_notices(law), *left_out)
 
 
@@ -201,9 +209,9 @@ def _row_of(track: Track, frame: int) -> int:
     return int(later[0])
 
 
-def _write(made: Prediction, csv: Path, beside: Path) -> None:
+def _write(made: Prediction, csv: Path, beside: Path, **more: object) -> None:
     write_simulated(csv, _continuous(made.simulated))
-    write_json(beside, prediction_table(made))
+    write_json(beside, {**prediction_table(made), **more})
 
 
 def _continuous(track: Track) -> Track:
