@@ -120,6 +120,26 @@ def test_a_quiet_command_says_nothing_beside_its_result_and_a_verbose_one_names_
     assert quiet[1].splitlines()[0] == verbose[1].splitlines()[0]
 
 
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("analyse",), "no such command 'analyse'; did you mean 'analyze'? (see diethrow --help)"),
+        (("--fast",), "no such option: --fast (see diethrow --help)"),
+        (("analyze", "scene.toml"), "missing option '--out' (see diethrow analyze --help)"),
+        (("throw",), "missing argument 'THROW.toml' (see diethrow throw --help)"),
+        (("-q", "-v", "throw", "a", "--out", "b"), "-v and -q: wanted one of the two (see diethrow --help)"),
+    ],
+)
+def test_a_mistake_on_the_command_line_is_one_sentence(words: tuple[str, ...], sentence: str) -> None:
+    run = subprocess.run([sys.executable, "-m", "diethrow", *words], capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stdout, run.stderr) == (2, "", f"diethrow: {sentence}\n")
+
+
+def test_the_program_alone_shows_its_help() -> None:
+    run = subprocess.run([sys.executable, "-m", "diethrow"], capture_output=True, text=True, check=False)
+    assert "Commands:" in run.stdout + run.stderr
+
+
 def test_quiet_and_verbose_exclude_each_other(throw_plan: Path, tmp_path: Path) -> None:
     status, _, message = invoke("-q", "-v", "throw", throw_plan, "--out", tmp_path / "out")
     assert status == 2

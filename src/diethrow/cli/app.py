@@ -11,9 +11,11 @@ from typing import Annotated
 import typer
 
 from .logs import log_to_stderr
+from .usage import Program
 
 app = typer.Typer(
     name="diethrow",
+    cls=Program,
     help="Experiment against simulation for high-speed footage of thrown dice.",
     epilog="Example:  diethrow analyze data_samples/cube_wood/scene.toml --out out/cube_wood",
     no_args_is_help=True,
