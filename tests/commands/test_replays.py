@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 import diethrow.commands.results.viewer
 from diethrow.cli.app import app
 from diethrow.commands.results.joined_recordings import COLUMNS, find_recordings, join
+from diethrow.commands.results.repeated_run import rerun
 from diethrow.commands.results.viewer import DEAD_PROXY, TELEMETRY_VARIABLES, open_viewer, silent_environment
 from diethrow.replay.recording.throw_recording import write_recording
 
@@ -77,7 +78,8 @@ def test_models_of_one_clip_are_recognised(throws: Path, tmp_path: Path) -> None
 def test_a_folder_gets_one_recording_per_throw_and_a_table(throws: Path, tmp_path: Path) -> None:
     out = tmp_path / "table"
     assert invoke(throws, "--out", out)[0] == 0
-    assert sorted(path.name for path in out.iterdir()) == ["a.rrd", "b.rrd", "c.rrd", "throws.csv"]
+    files = ["a.rrd", "b.rrd", "c.rrd", "provenance.json", "throws.csv"]
+    assert sorted(path.name for path in out.iterdir()) == files
     with (out / "throws.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [row["throw"] for row in rows] == ["a", "b", "c"]
@@ -85,6 +87,11 @@ def test_a_folder_gets_one_recording_per_throw_and_a_table(throws: Path, tmp_pat
     assert float(rows[0]["chi"]) == 0.5831
     applications = {RrdReader(out / f"{name}.rrd").recordings()[0].application_id for name in "abc"}
     assert applications == {"diethrow"}
+    # Copies of one folder come from different clips all the same.
+    status, message, _ = invoke(out, "--out", tmp_path / "again.rrd")
+    assert (status, "3 throws in" in message) == (0, True)
+    repeated = rerun(out)
+    assert (repeated.same, repeated.differences) == (("throws.csv",), ())
 
 
 def test_nothing_is_replaced_without_force(throws: Path, tmp_path: Path) -> None:

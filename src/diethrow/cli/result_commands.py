@@ -9,7 +9,7 @@ import typer
 
 from .app import app
 from .errors import FAILED, one_sentence_errors
-from .options import AsJson
+from .options import AsJson, output_words
 from .printing import print_json, print_throws
 
 
@@ -67,7 +67,8 @@ def replay(
                 typer.echo(f"{len(found)} {'models of one throw' if same else 'throws'} in {out}")
             shown = [out]
         elif out is not None:
-            gather(found, out, force=force)
+            command = ("diethrow", "replay", *map(str, throws), *output_words(out, force))
+            gather(found, out, force=force, command=command)
             if not as_json:
                 typer.echo(f"{len(found)} recordings and throws.csv in {out}")
             shown = [out / f"{one.name}.rrd" for one in found]

@@ -16,6 +16,7 @@ from typing import Any
 
 from ...files.csv_and_json import read_json
 from ...files.outputs import whole_file, whole_folder
+from ...files.provenance import Stopwatch, write_provenance
 from ...replay.recording import Source, join_recordings, properties_of
 
 RECORDING = "replay.rrd"
@@ -67,18 +68,22 @@ def join(found: Sequence[ThrowRecording], out: Path, *, align: str, models: bool
     return same
 
 
-def gather(found: Sequence[ThrowRecording], out: Path, *, force: bool = False) -> None:
-    """Write a folder with one recording per throw and `throws.csv`. The viewer shows them as one table, a row per throw.
+def gather(found: Sequence[ThrowRecording], out: Path, *, force: bool = False, command: tuple[str, ...] = ()) -> None:
+    """Write a folder with one recording per throw, `throws.csv`, and `provenance.json`, which states `command`.
 
-    Raises OutputExistsError if `out` exists (unless `force`).
+    The viewer shows the recordings as one table, a row per throw. Raises OutputExistsError if `out` exists (unless `force`).
     """
-    with whole_folder(out, force=force, inputs=[one.path for one in found]) as folder:
-        for one in found:
-            shutil.copyfile(one.path, folder / f"{one.name}.rrd")
+    inputs, watch = tuple(one.path for one in found), Stopwatch()
+    with whole_folder(out, force=force, inputs=inputs) as folder:
+        with watch.stage("copy"):
+            for one in found:
+                shutil.copyfile(one.path, folder / f"{one.name}.rrd")
         with (folder / "throws.csv").open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(("throw", *COLUMNS))
             writer.writerows((one.name, *(one.properties.get(name, "") for name in COLUMNS)) for one in found)
+        understood = {"throws": [one.name for one in found]}
+        write_provenance(folder, command=command, understood=understood, seconds=watch.seconds, inputs=inputs)
 
 
 def made_from_same_footage(found: Sequence[ThrowRecording]) -> bool:
@@ -88,11 +93,11 @@ def made_from_same_footage(found: Sequence[ThrowRecording]) -> bool:
 
 
 def _footage(provenance: Path) -> frozenset[str]:
-    """The checksums of a run's inputs without its scene; empty if they are unknown."""
+    """The checksums of a run's inputs without its scene; empty if they are unknown, as for recordings that were copied."""
     if not provenance.is_file():
         return frozenset()
     inputs = read_json(provenance).get("inputs", [])
-    return frozenset(entry["sha256"] for entry in inputs if not str(entry["path"]).endswith(".toml"))
+    return frozenset(entry["sha256"] for entry in inputs if not str(entry["path"]).endswith((".toml", ".rrd")))
 
 
 def _recordings_at(place: Path) -> list[Path]:
