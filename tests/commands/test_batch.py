@@ -193,12 +193,22 @@ def test_the_time_left_is_reported(scenes: list[Path], tmp_path: Path) -> None:
 
 
 def test_each_clip_that_is_done_is_in_the_log(
-    scenes: list[Path], tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+    scenes: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(logging.getLogger("diethrow"), "propagate", True)
-    with caplog.at_level(logging.INFO, "diethrow"), Processes(1) as processes:
-        track(scenes[:2], tmp_path / "out", processes)
-    failed, done = sorted(record.getMessage() for record in caplog.records)
+    messages: list[str] = []
+    # Its own handler: a command that ran before in this process has set up the logger.
+    handler = logging.Handler()
+    monkeypatch.setattr(handler, "emit", lambda record: messages.append(record.getMessage()))
+    logger = logging.getLogger("diethrow")
+    monkeypatch.setattr(logger, "handlers", [handler])
+    level = logger.level
+    logger.setLevel(logging.INFO)
+    try:
+        with Processes(1) as processes:
+            track(scenes[:2], tmp_path / "out", processes)
+    finally:
+        logger.setLevel(level)
+    failed, done = sorted(messages)
     assert done.startswith("whole: tracked, ")
     assert failed.startswith("broken: failed: ")
     assert "clip.path" in failed
