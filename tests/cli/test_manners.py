@@ -16,8 +16,8 @@ from command_line import CUBE, LAW, RELEASE, invoke, text_file
 from diethrow.cli.app import app
 
 COMMANDS = sorted(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
-WITHOUT_NUMBERS = {"film", "paper"}
-"""Commands that end with a film or a page."""
+WITHOUT_NUMBERS = {"film"}
+"""Commands that end with pictures."""
 
 
 @pytest.fixture(autouse=True)

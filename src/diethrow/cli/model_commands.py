@@ -472,6 +472,7 @@ def paper(
     ] = False,
     seed: Annotated[int, typer.Option("--seed", help="Seed of all random numbers.")] = 1,
     threads: Threads = None,
+    as_json: AsJson = False,
     force: Force = False,
 ) -> None:
     """Replicate the results of Kapitaniak et al. (2012) on one page, with a verdict for each statement."""
@@ -486,4 +487,7 @@ def paper(
             result = replicate(
                 plan, out, force=force, threads=threads or usable_cores(), progress=progress, command=command
             )
+        if as_json:
+            print_json(out / "paper.json")
+            return
         typer.echo("\n".join((*summary(result), f"Look at it:  {out / 'paper.html'}")))

@@ -16,15 +16,15 @@ _UsageError = cast("type[Exception]", typer.BadParameter.__bases__[0])
 
 
 class Program(TyperGroup):
-    """The commands of the program."""
+    """The commands of the program; a mistake in typing one of them ends it with one sentence and MISUSED."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """As of every group."""
+        """The words that belong to the command, after the options of the program are taken."""
         with _one_sentence():
             return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
-        """As of every group."""
+        """Parse the words of the command, and run it."""
         with _one_sentence():
             return super().invoke(ctx)
 
