@@ -48,8 +48,8 @@ LIGHTLY_DAMPED_SWEEPS = 500
 """Sweeps after which each impulse goes only STRONG_DAMPING of its way."""
 STRONG_DAMPING = 0.4
 
-IMPULSE_TOLERANCE = 1e-16
-"""Normal velocity after an impulse, as a part of that before it, at which the search for the impulse ends."""
+VELOCITY_ROUNDING = 4.4e-16
+"""Normal velocity after an impulse, as a part of those that cancel in it, at which the search for the impulse ends."""
 
 MAX_SECANTS = 100
 """Steps of that search."""
@@ -68,6 +68,9 @@ FRICTION_STEP_PART = 0.1
 
 MAX_TOUCH_STEPS = 90
 """Of the search for the instant within a step at which another vertex touches."""
+
+FALSE_POSITIONS = 12
+"""Steps of it after which every third halves the bracket."""
 
 TOUCH_TOLERANCE = 1e-12
 """Width of the bracket of that instant, as a part of the step, at which the search ends."""
@@ -95,18 +98,21 @@ def inelastic_impulse(matrix: Matrix6, mu: float, cx: float, cy: float, cz: floa
     while w_high < 0.0:
         low, w_low, high = high, w_high, 2.0 * high
         sx, sy, w_high = _held_slide(matrix, mu, cx, cy, cz, high)
+    stayed = 0
     for _ in range(MAX_SECANTS):
         p = (low * w_high - high * w_low) / (w_high - w_low)
         if not low < p < high:
             break
         sx, sy, w = _held_slide(matrix, mu, cx, cy, cz, p)
-        if abs(w) <= -IMPULSE_TOLERANCE * cz:
+        if abs(w) <= VELOCITY_ROUNDING * (zz * p - cz):
             return sx, sy, p
-        # Illinois: an end that stays twice weighs half, so that neither end stays for good.
+        # Illinois: an end that stays a second time weighs half, so that neither end stays for good.
         if w < 0.0:
-            low, w_low, w_high = p, w, 0.5 * w_high
+            low, w_low, stayed = p, w, max(stayed, 0) + 1
+            w_high *= 0.5 if stayed > 1 else 1.0
         else:
-            high, w_high, w_low = p, w, 0.5 * w_low
+            high, w_high, stayed = p, w, min(stayed, 0) - 1
+            w_low *= 0.5 if stayed < -1 else 1.0
     sx, sy, _ = _held_slide(matrix, mu, cx, cy, cz, high)
     return sx, sy, high
 
@@ -361,29 +367,34 @@ def follow_frictional_contact(
             return RESTED, time + dt - begin, -1, knots
         hit = deepest_free_vertex(body, plane, after, time + dt, active)
         if hit >= 0:
-            # False position (Illinois) takes five steps where halving takes forty. Every third step halves the bracket, and so
-            # does each one after another vertex has become the deepest, whose height before is unknown.
-            low, high, stayed = 0.0, dt, 0
+            # False position (Illinois) takes six steps where halving takes forty. The bracket is halved after another vertex has
+            # become the deepest, whose height before is unknown, and where false position has not closed it for long.
+            low, high, stayed, near = 0.0, dt, 0, ROUNDING_BOUND * body.radius
             guess[:] = impulses / dt
             h_low = clearance(body.vertices[hit], state, table_height(plane, time))
             h_high = clearance(body.vertices[hit], after, table_height(plane, time + dt))
+            weigh_low, weigh_high = 1.0, 1.0
             for k in range(MAX_TOUCH_STEPS):
-                if high - low <= TOUCH_TOLERANCE * dt or h_high >= -ROUNDING_BOUND * body.radius:
+                if high - low <= TOUCH_TOLERANCE * dt or h_high >= -near:
                     break
                 middle = 0.5 * (low + high)
-                if h_low > 0.0 and k % 3 < 2:
-                    weigh_low, weigh_high = 0.5 if stayed > 1 else 1.0, 0.5 if stayed < -1 else 1.0
+                if h_low > 0.0 and (k < FALSE_POSITIONS or k % 3 < 2):
                     middle = low + (high - low) * weigh_low * h_low / (weigh_low * h_low - weigh_high * h_high)
                 sliding_step(sliding, state, time, middle, room, after, tolerance)
                 guess[:] = impulses / middle
                 found = deepest_free_vertex(body, plane, after, time + middle, active)
                 if found >= 0:
-                    h_low = h_low if found == hit else nan
+                    h_low, stayed = h_low if found == hit else nan, max(stayed, 0) + 1
                     h_high = clearance(body.vertices[found], after, table_height(plane, time + middle))
-                    high, hit, stayed = middle, found, max(stayed, 0) + 1
+                    high, hit, weigh_high = middle, found, 1.0
+                    weigh_low *= 0.5 if stayed > 1 else 1.0
                 else:
                     h_low = clearance(body.vertices[hit], after, table_height(plane, time + middle))
-                    low, stayed = middle, min(stayed, 0) - 1
+                    if h_low <= near:  # it touches
+                        high = middle
+                        break
+                    low, stayed, weigh_low = middle, min(stayed, 0) - 1, 1.0
+                    weigh_high *= 0.5 if stayed < -1 else 1.0
             sliding_step(sliding, state, time, high, room, after, tolerance)
             copy_to(state, after)
             return NOT_ENDED, time + high - begin, hit, knots
