@@ -32,7 +32,8 @@ from scipy.optimize import least_squares, minimize
 from diethrow.files.scene import read_scene
 from diethrow.files.throw_records import read_track
 from diethrow.fitting.dataset.data_set import Entry, entry_of
-from diethrow.fitting.dataset.joint_effects import EFFECTS, offset_before_bounces
+from diethrow.fitting.dataset.flight_evidence import offset_from_flights
+from diethrow.fitting.dataset.joint_effects import EFFECTS
 from diethrow.fitting.dataset.joint_fit import fit_jointly
 from diethrow.fitting.predict.prediction import simulated_poses
 from diethrow.fitting.predict.release_state import ReleaseState, release_from
@@ -304,7 +305,11 @@ def mujoco_throws(entries: Sequence[Entry], die: Die, folds: int) -> None:
         errors, seconds = [], 0.0
         for k in range(folds):
             rest = others(entries, k, folds)
-            load = offset_before_bounces(rest) if name.startswith("the same") else None
+            load = (
+                offset_from_flights(rest, Physics(die, LEVEL, {"chi": 0.5})).values
+                if name.startswith("the same")
+                else None
+            )
             begin = time.perf_counter()
             tuned = mujoco_tuned(rest, die, start, load)
             seconds += time.perf_counter() - begin

@@ -35,6 +35,34 @@ class Parameter:
     """True if the best value lies on a bound of what the law allows; the interval is then one-sided."""
 
 
+@dataclass(frozen=True, eq=False)
+class ParameterCovariance:
+    """The joint covariance of the free parameters of a fit."""
+
+    names: tuple[str, ...]
+    matrix: Array
+    """(k, k), units of the parameters."""
+
+
+@dataclass(frozen=True, eq=False)
+class Misfit:
+    """What a law misses: how far throws that were left out of a fit are off, beyond the errors of their release states."""
+
+    time_s: Array
+    """(m,) since the release state, ascending."""
+    position_m: Array
+    """(m,) root mean square of one axis."""
+    rotation_rad: Array
+    """(m,) the same."""
+
+    def covariances(self, since_s: Array) -> Array:
+        """(n, 6, 6) of position and rotation vector at times (n,) [s] since the release state; constant beyond the table."""
+        variances = np.empty((len(since_s), 6))
+        variances[:, :3] = np.interp(since_s, self.time_s, self.position_m**2)[:, None]
+        variances[:, 3:] = np.interp(since_s, self.time_s, self.rotation_rad**2)[:, None]
+        return np.asarray(variances[:, :, None] * np.eye(6))
+
+
 @dataclass(frozen=True)
 class Effect:
     """A departure from the plainest model, and the evidence for it."""

@@ -10,13 +10,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die
 from ...model.rotations import rotation_between
-from ...model.throw import State
+from ...model.throw import packed_state
 from ...tracking.covariance import covariance_root
 from ...tracking.flights import perturbed
 from ...tracking.track import Track
@@ -26,7 +27,7 @@ from ..predict import (
     first_bounce_row,
     flight_length,
     release_before,
-    simulated_throws,
+    simulated_packed,
     usable_rows,
 )
 from ..throw import Physics
@@ -106,10 +107,13 @@ class DataSet:
         """Over all throws [m]."""
         return float(self.costs(self.residuals(physics)).mean())
 
+    def some(self, which: NDArray[np.int64]) -> DataSet:
+        """Some of the throws."""
+        return replace(self, entries=tuple(self.entries[k] for k in which), slack=tuple(self.slack[k] for k in which))
+
     def subset(self, count: int) -> DataSet:
         """At most `count` throws, evenly spread."""
-        which = evenly_spread(len(self.entries), count)
-        return replace(self, entries=tuple(self.entries[k] for k in which), slack=tuple(self.slack[k] for k in which))
+        return self.some(evenly_spread(len(self.entries), count))
 
 
 def data_set_of(entries: Sequence[Entry], physics: Physics, pool: ThreadPoolExecutor) -> DataSet:
@@ -148,16 +152,28 @@ def _residuals(
     arm_m: float,
     pool: ThreadPoolExecutor,
 ) -> list[Array]:
-    states: list[State] = [entry.release.of_die(physics.body).state for entry in entries]
-    if perturbations is not None:
-        states = [perturbed(state, change) for state, change in zip(states, perturbations, strict=True)]
-    positions, quaternions = simulated_throws(physics, states, [entry.times_s for entry in entries], pool)
+    if perturbations is None:
+        centre_m = physics.body.centre_of_mass_m
+        packed = _packed_releases(tuple(entries), None if centre_m is None else tuple(centre_m.tolist()))
+    else:
+        states = [entry.release.of_die(physics.body).state for entry in entries]
+        packed = np.array([packed_state(perturbed(s, change)) for s, change in zip(states, perturbations, strict=True)])
+    begins_s = np.array([entry.release.fair_state.time_s for entry in entries])
+    times_s = [entry.times_s for entry in entries]
+    positions, quaternions = simulated_packed(physics, packed, begins_s, times_s, pool)
     observed = np.concatenate([entry.track.position_m[entry.rows] for entry in entries])
     turned = rotation_between(quaternions, np.concatenate([entry.track.quaternion[entry.rows] for entry in entries]))
     residuals = np.hstack([observed - positions, arm_m * turned])
     # A throw that never stops bouncing has no poses: it counts as a die in the right place with the worst orientation.
     residuals = np.where(np.isfinite(residuals), residuals, np.pi * arm_m)
     return np.split(residuals, np.cumsum([len(entry.rows) for entry in entries])[:-1])
+
+
+@lru_cache(maxsize=64)
+def _packed_releases(entries: tuple[Entry, ...], centre_m: tuple[float, ...] | None) -> Array:
+    """The release states (throws, 13) for a centre of mass, which many trials share."""
+    centre = None if centre_m is None else np.array(centre_m)
+    return np.array([packed_state(replace(e.release, centre_of_mass_m=centre).state) for e in entries])
 
 
 def _cost(residuals: Array, slack: Array) -> float:

@@ -1,36 +1,40 @@
 """Effects that throws share, accepted if they predict throws better that are left out of the fit.
 
-Effects are added to the paper's law one at a time (`throw.effects` does the same for one throw). The throws are divided
+Centre of mass and clock are decided by the flights before the first bounce (`flight_evidence`) and held. The effects of an
+impact are added to the paper's law one at a time (`throw.effects` does the same for one throw). The throws are divided
 into five folds. Each is predicted with parameters from the other folds: one step of the same minimisation from the common
 fit, by the normal equations of those throws. The effect that lowers the mean cost most is accepted if, compared throw by
-throw, it does so by more than Student's t allows by chance. One that raises the cost by as much is not tried again.
+throw, it does so by more than Student's t allows by chance for one of all effects on trial (Bonferroni). One that raises the
+cost by as much is not tried again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
+from scipy.special import chdtri, fdtri, stdtrit
 
-from ...model.rotations import matrix_from_quat
 from ..results import Effect
-from ..throw import CALIBRATION_LIMITS, CENTRE_OF_MASS, Physics
-from .data_set import DataSet, Entry, data_set_of
+from ..throw import Physics
+from .data_set import DataSet, data_set_of
+from .flight_evidence import FLIGHT_EFFECTS
 from .minimisation import NEARLY_CONVERGED, Linearisation, left_out_residuals, linearised_at, minimised
 
 Array = NDArray[np.float64]
 
-EFFECTS: dict[str, tuple[str, ...]] = {
+IMPACT_EFFECTS: dict[str, tuple[str, ...]] = {
     "friction": ("mu",),
-    "loaded die": CENTRE_OF_MASS,
     "rounded corners": ("corner_radius_m",),
     "inertia": ("inertia_kg_m2",),
     "fading restitution": ("chi_fade_s_per_m",),
     "fading friction": ("mu_fade_s_per_m",),
-    "clock": ("clock_scale",),
 }
+"""Effects that impacts decide, and their parameters."""
+
+EFFECTS: dict[str, tuple[str, ...]] = {**IMPACT_EFFECTS, **FLIGHT_EFFECTS}
 """Effects on trial and their parameters."""
 
 _REQUIRED = {"fading friction": "mu"}
@@ -51,23 +55,80 @@ _FIRST_FADES_S_PER_M = (0.1, 1.0)
 START_THROWS = 8
 """Throws by which such starts are compared."""
 
-_CLOCK_SIGMAS = 4.0
-"""Standard errors between a clock and that of the flights alone at which these refute it."""
+_FALSE_EFFECTS = 0.05
+"""Probability that any effect is accepted which no throw has."""
 
-_CONFIDENCE = 0.95
-"""Confidence that an accepted effect lowers the cost."""
+
+def least_evidence(on_trial: int, throws: int) -> Callable[[int], float]:
+    """Units of log-likelihood that k parameters from flights must have, of `on_trial` effects.
+
+    Their covariance is from `throws` throws, so that the law is Hotelling's."""
+    tail = _FALSE_EFFECTS / on_trial
+
+    def least(k: int) -> float:
+        if throws <= k + 1:
+            return 0.5 * float(chdtri(k, tail))
+        return 0.5 * k * (throws - 1) / (throws - k) * float(fdtri(k, throws - k, 1.0 - tail))
+
+    return least
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """One choice among effects."""
+
+    before: Array
+    """(throws,) cost of each left-out throw without any of them."""
+    physics: Physics
+    """Without any of them."""
+    trials: dict[str, tuple[Physics, Array]]
+    """Physics and costs of the left-out throws with each."""
+
+
+@dataclass(frozen=True, eq=False)
+class ChosenEffects:
+    """The effects that the impacts of a data set show."""
+
+    point: Linearisation
+    """The fit with them."""
+    accepted: list[Effect]
+    refused: list[Effect]
+    rounds: list[Round]
+    """The choices that led to it."""
+    on_trial: int
+    """Number of effects."""
+
+    def resampled(self, draws: int, seed: int = 0) -> list[Physics]:
+        """The fits that the same choices lead to for samples of the throws, drawn with replacement: where chance decides between
+        effects, these differ. A sample that prefers an effect which was not followed further ends there."""
+        rng, found = np.random.default_rng(seed), []
+        count = len(self.rounds[0].before) if self.rounds else 0
+        for _ in range(draws):
+            which, physics = rng.integers(0, count, count), self.point.physics
+            for one, accepted in zip(self.rounds, [*(e.name for e in self.accepted), None], strict=False):
+                gains = {effect: (one.before - costs)[which] for effect, (_, costs) in one.trials.items()}
+                best = _best_effect(gains, self.on_trial)
+                if best is None:
+                    physics = one.physics
+                    break
+                if best != accepted:
+                    physics = one.trials[best][0]
+                    break
+            found.append(physics)
+        return found
 
 
 def with_effects(
     data: DataSet, point: Linearisation, effects: Sequence[str], on_trial: Callable[[], None]
-) -> tuple[Linearisation, list[Effect], list[Effect]]:
-    """Effects added while they are accepted, the one that lowers the cost most first; then those accepted and those refused.
+) -> ChosenEffects:
+    """Effects added while they are accepted, the one that lowers the cost most first.
 
-    `on_trial` is called after every trial. What throws of this die cannot have is not tried.
+    `effects` are of impacts. `on_trial` is called after every trial. What throws of this die cannot have is not tried.
     """
     accepted: list[Effect] = []
     left = [effect for effect in effects if point.physics.can_be_thrown_with(effect)]
     refused: dict[str, Effect] = {}
+    rounds: list[Round] = []
     while left:
         # How errors of the release state grow depends on the law: the slack is computed anew.
         data = data_set_of(data.entries, point.physics, data.pool)
@@ -83,113 +144,51 @@ def with_effects(
             wider = _with_one_more(data, point, effect)
             gains = before - data.costs(left_out_residuals(data, wider))
             on_trial()
-            if (why := refuted_by_flights(wider.physics, data.entries)) is not None:
-                refused[effect] = Effect(effect, _evidence(gains), why)
-                continue
             trials[effect] = (wider, gains)
             refused[effect] = _refusal(effect, gains, before)
-        better = [effect for effect, (_, gains) in trials.items() if gains.mean() > _required_gain(gains)]
-        if not better:
+        costs = {effect: (wider.physics, before - gains) for effect, (wider, gains) in trials.items()}
+        rounds.append(Round(before, point.physics, costs))
+        best = _best_effect({effect: gains for effect, (_, gains) in trials.items()}, len(effects))
+        if best is None:
             break
-        best = max(better, key=lambda effect: float(trials[effect][1].mean()))
         point = trials[best][0]
         accepted.append(Effect(best, _evidence(trials[best][1]), None))
-        worse = [effect for effect, (_, gains) in trials.items() if gains.mean() < -_required_gain(gains)]
+        worse = [e for e, (_, gains) in trials.items() if gains.mean() < -_required_gain(gains, len(effects))]
         left = [effect for effect in left if effect != best and effect not in worse]
     names = {effect.name for effect in accepted}
-    return point, accepted, [refused[effect] for effect in effects if effect in refused and effect not in names]
-
-
-def offset_before_bounces(entries: Sequence[Entry]) -> Array:
-    """The centre of mass (3,) [m] that the flights before the first bounce show: the one about which the centroid circles
-    while it falls freely. `free.loaded_die` finds it from all flights of one throw, with their covariances."""
-    matrix, right = np.zeros((3, 3)), np.zeros(3)
-    for entry in entries:
-        columns, left = _free_fall(entry)
-        weight = 1.0 / entry.release.sigma_m**2
-        matrix += weight * columns[:, :3].T @ columns[:, :3]
-        right += weight * columns[:, :3].T @ left
-    return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-9)[0], dtype=np.float64)
-
-
-def refuted_by_flights(physics: Physics, entries: Sequence[Entry]) -> str | None:
-    """Why the clock of a fit is refused, where free flights have another; None if they agree with it.
-
-    In throws that no law predicts to within the errors of the frames, a clock can stand for what the law lacks.
-    """
-    if "clock_scale" not in physics.values:
-        return None
-    clock, error = clock_before_bounces(physics, entries)
-    if abs(physics.clock - clock) <= _CLOCK_SIGMAS * np.hypot(error, CALIBRATION_LIMITS["clock_scale"]):
-        return None
-    return (
-        f"Throws would be predicted best with a clock of {physics.clock:.4g}, but the flights before the first bounce fall "
-        f"with g on one of {clock:.4f} ± {error:.4f}."
+    return ChosenEffects(
+        point, accepted, [refused[e] for e in effects if e in refused and e not in names], rounds, len(effects)
     )
 
 
-def clock_before_bounces(physics: Physics, entries: Sequence[Entry]) -> tuple[float, float]:
-    """True seconds in a second of the tracks, from how the die falls before the first bounce, and the standard error.
-
-    In flight the centre of mass falls by g c² t²/2 in the track's time t, with c the clock. The three numbers of a
-    centre-of-mass offset are fitted too, as in `offset_before_bounces`.
-    """
-    matrix, right, squares, freedom = np.zeros((4, 4)), np.zeros(4), 0.0, 0
-    for entry in entries:
-        columns, fallen = _free_fall(entry)
-        weight = 1.0 / entry.release.sigma_m**2
-        matrix += weight * columns.T @ columns
-        right += weight * columns.T @ fallen
-        squares += weight * float(fallen @ fallen)
-        freedom += 3 * len(entry.release.rows) - 6
-    values = np.linalg.lstsq(matrix, right, rcond=1e-12)[0]
-    variance = max(1.0, (squares - float(right @ values)) / max(freedom - 4, 1))
-    squared = 1.0 + float(values[3]) / (physics.table.gravity_m_s2 * physics.length)
-    error = float(np.sqrt(variance * np.linalg.pinv(matrix)[3, 3])) / (physics.table.gravity_m_s2 * physics.length)
-    clock = float(np.sqrt(max(squared, 1e-6)))
-    return clock, 0.5 * error / clock
-
-
-def _free_fall(entry: Entry) -> tuple[Array, Array]:
-    """Derivatives (3 n, 4) of the positions of one flight by a centre-of-mass offset (3,) and by gravity, and the residuals
-    (3 n,), all projected off straight lines."""
-    rows, state = entry.release.rows, entry.release.fair_state
-    times = entry.track.time_s[rows] - state.time_s
-    line = np.stack([np.ones_like(times), times], 1)
-    off_line = np.eye(len(rows)) - line @ np.linalg.pinv(line)
-    circled = -np.einsum("mn,nij->mij", off_line, matrix_from_quat(entry.track.quaternion[rows])).reshape(-1, 3)
-    fall = np.zeros((len(rows), 3))
-    fall[:, 2] = -0.5 * (off_line @ times**2)
-    flown = state.position_m + np.outer(times, state.velocity_m_s)
-    flown[:, 2] -= 0.5 * entry.track.gravity_m_s2 * times**2
-    left = off_line @ (entry.track.position_m[rows] - flown)
-    return np.column_stack([circled, fall.ravel()]), left.ravel()
+def _best_effect(gains: dict[str, Array], on_trial: int) -> str | None:
+    """The effect with the largest mean gain of those that are more than chance; None if none is."""
+    better = [effect for effect, gain in gains.items() if gain.mean() > _required_gain(gain, on_trial)]
+    return max(better, key=lambda effect: float(gains[effect].mean()), default=None)
 
 
 def _with_one_more(data: DataSet, point: Linearisation, effect: str) -> Linearisation:
     """The fit with one more effect, from the best of a few starts."""
     physics = point.physics.with_values(**{name: point.physics.neutral(name) for name in EFFECTS[effect]})
-    starts = _starts(physics, effect, data.entries)
+    starts = _starts(physics, effect)
     best = min(starts, key=data.subset(START_THROWS).mean_cost) if len(starts) > 1 else starts[0]
     return minimised(data, best, NEARLY_CONVERGED)
 
 
-def _starts(physics: Physics, effect: str, entries: Sequence[Entry]) -> list[Physics]:
+def _starts(physics: Physics, effect: str) -> list[Physics]:
     if effect == "friction":
         return [physics.with_values(mu=mu, chi=chi) for mu in _FIRST_MU for chi in FIRST_CHI[:-1]]
     if effect == "rounded corners":
         return [physics.with_values(corner_radius_m=part * physics.die.solid.inradius) for part in _FIRST_RADII]
-    if effect == "loaded die":
-        offset = dict(zip(CENTRE_OF_MASS, offset_before_bounces(entries).tolist(), strict=True))
-        return [physics, physics.with_values(**offset)]
     if effect in ("fading restitution", "fading friction"):
         return [physics.with_values(**{EFFECTS[effect][0]: fade}) for fade in _FIRST_FADES_S_PER_M]
     return [physics]
 
 
-def _required_gain(gains: Array) -> float:
-    """The mean that gains (throws,) exceed by chance with odds of 1 - `_CONFIDENCE`."""
-    return float(stdtrit(len(gains) - 1, _CONFIDENCE) * gains.std(ddof=1) / np.sqrt(len(gains)))
+def _required_gain(gains: Array, on_trial: int) -> float:
+    """The mean that gains (throws,) of one of the effects on trial exceed by chance with the odds `_FALSE_EFFECTS`."""
+    sigmas = stdtrit(len(gains) - 1, 1.0 - _FALSE_EFFECTS / on_trial)
+    return float(sigmas * gains.std(ddof=1) / np.sqrt(len(gains)))
 
 
 def _evidence(gains: Array) -> float:

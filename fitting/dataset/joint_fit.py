@@ -11,12 +11,11 @@ distance by which the die's mass points are off, less what the errors of the rel
 - Fixed release states: the frames before the first bounce determine them far better than the law predicts what follows.
   If they were free, they would compensate errors of the law, which no prediction can do.
 
-`minimisation` finds the least cost, `joint_effects` the effects that belong in the model.
+`flight_evidence` decides centre of mass and clock, `joint_effects` what else belongs in the model, `search` finds the
+least of several minima, and the intervals, from what random halves of the throws find.
 
-**Intervals** by bootstrap over throws (Efron & Tibshirani, An Introduction to the Bootstrap, 1993, ch. 6 and 13): whole
-throws are drawn with replacement, and each sample makes one more step. They include the scatter between throws and need
-not be symmetric. **Scatter** of χ between throws: the robust standard deviation of the χ that each throw alone would give
-by its frames up to the second bounce, less the share of the errors of the release states.
+**Scatter** of χ between throws: the robust standard deviation of the χ that each throw alone would give by its frames up to the
+second bounce, less the share of the errors of the release states.
 """
 
 from __future__ import annotations
@@ -27,23 +26,29 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from ...model.die import Die
 from ...model.laws import Table
-from ..results import Effect, Parameter
+from ..results import Effect, Misfit, Parameter, ParameterCovariance
 from ..throw import INTERVAL_LEVEL, Physics, table_under
 from .data_set import DataSet, Entry, data_set_of, drawn_perturbations, evenly_spread
-from .joint_effects import EFFECTS, FIRST_CHI, START_THROWS, with_effects
+from .flight_evidence import FlightEstimate, with_flight_effects
+from .joint_effects import EFFECTS, FIRST_CHI, IMPACT_EFFECTS, START_THROWS, least_evidence, with_effects
 from .minimisation import Linearisation, left_out_residuals, minimised, step_of
+from .search import SPLITS, STARTS, Minimum, Spread, best_of_minima, spread_of
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
-_EFFECT_THROWS = 32
-"""Throws, spread over all, by which effects are chosen: enough to detect a tenth of the cost."""
+_EFFECT_THROWS = 120
+"""Throws, spread over all, by which effects are chosen: enough to detect a twentieth of the cost."""
 
-_BOOTSTRAP_DRAWS = 1000
-"""Samples of throws: they place the ends of an interval to some hundredths of its width."""
+_CORRELATED = 0.8
+"""Correlation from which two parameters are reported to trade against each other."""
+
+_MISFIT_TIMES = 8
+"""Times at which the misfit is tabulated, each for as many frames."""
 
 _BOUND_TOLERANCE = 1e-9
 """Distance from a bound at which a value stands on it."""
@@ -84,6 +89,12 @@ class JointFit:
     chi_scatter: float | None
     """Standard deviation of χ between throws, beyond the errors of the frames."""
     messages: tuple[str, ...]
+    minima: tuple[Minimum, ...]
+    """Minima of the cost, the best first."""
+    covariance: ParameterCovariance
+    """Of all free parameters; those of the flights are independent of those of the impacts."""
+    misfit: Misfit
+    """Of throws left out of the fit."""
 
 
 def fit_jointly(
@@ -105,18 +116,24 @@ def fit_jointly(
     tables = [table_under(entry.track, table) for entry in entries]
     if len(set(tables)) > 1:
         raise ValueError("the tracks were filmed where gravity differs; wanted throws of one place")
-    steps = _Steps(progress, 3 * len(effects) + 2)
+    impact_effects = [effect for effect in effects if effect in IMPACT_EFFECTS]
+    steps = _Steps(progress, 3 * len(impact_effects) + 2 + STARTS + SPLITS)
+    least = least_evidence(max(len(effects), 1), len(entries))
+    plainest, estimates, shown, absent = with_flight_effects(
+        entries, Physics(die, tables[0], {"chi": 0.5}), effects, least
+    )
     with ThreadPoolExecutor(threads) as pool:
-        plainest = Physics(die, tables[0], {"chi": 0.5})
         some = data_set_of([entries[k] for k in evenly_spread(len(entries), _EFFECT_THROWS)], plainest, pool)
         starts = (plainest.with_values(chi=chi) for chi in FIRST_CHI)
         best = minimised(some, min(starts, key=some.subset(START_THROWS).mean_cost))
         steps.advance()
-        best, chosen, refused = with_effects(some, best, effects, steps.advance)
-        everyone = data_set_of(entries, best.physics, pool)
-        best = minimised(everyone, best.physics)
+        effects_shown = with_effects(some, best, impact_effects, steps.advance)
+        everyone = data_set_of(entries, effects_shown.point.physics, pool)
+        points, minima = best_of_minima(everyone, effects_shown.point.physics, steps.advance)
+        spread = spread_of(everyone, points, effects_shown, steps.advance)
         steps.finish()
-        return _result(everyone, best, chosen, refused)
+        chosen, refused = [*effects_shown.accepted, *shown], [*effects_shown.refused, *absent]
+        return _result(everyone, points[0], minima, spread, estimates, chosen, refused)
 
 
 @dataclass
@@ -137,9 +154,18 @@ class _Steps:
         self.progress(self.total, self.total)
 
 
-def _result(data: DataSet, point: Linearisation, chosen: list[Effect], refused: list[Effect]) -> JointFit:
+def _result(
+    data: DataSet,
+    point: Linearisation,
+    minima: tuple[Minimum, ...],
+    spread: Spread,
+    estimates: dict[str, FlightEstimate],
+    chosen: list[Effect],
+    refused: list[Effect],
+) -> JointFit:
     residuals = left_out_residuals(data, point)
-    chi, scatter = _scatter(data, point)
+    moved = [data.residuals(point.physics, changes) for changes in drawn_perturbations(data.entries)]
+    chi, scatter = _scatter(data, point, moved)
     throws = tuple(
         PredictedThrow(
             entry.name,
@@ -152,31 +178,63 @@ def _result(data: DataSet, point: Linearisation, chosen: list[Effect], refused: 
         )
         for entry, off, own in zip(data.entries, residuals, chi, strict=True)
     )
-    messages = _messages(data, throws, chosen, scatter)
-    return JointFit(point.physics, _parameters(point), tuple(chosen), tuple(refused), throws, scatter, messages)
+    messages = _messages(data, throws, chosen, scatter, spread)
+    parameters = _parameters(point.physics, spread, estimates)
+    return JointFit(
+        physics=point.physics,
+        parameters=parameters,
+        chosen=tuple(chosen),
+        considered=tuple(refused),
+        throws=throws,
+        chi_scatter=scatter,
+        messages=messages,
+        minima=minima,
+        covariance=_covariance(spread, estimates),
+        misfit=_misfit(data, point, residuals, moved),
+    )
 
 
-def _parameters(point: Linearisation) -> dict[str, Parameter]:
-    """Values with bootstrap intervals."""
-    rng, count = np.random.default_rng(0), len(point.costs)
-    drawn = []
-    for _ in range(_BOOTSTRAP_DRAWS):
-        drawn.append(list(point.moved(rng.integers(0, count, count)).values.values()))
-    tail = 50.0 * (1.0 - INTERVAL_LEVEL)
-    low, high = np.percentile(drawn, [tail, 100.0 - tail], axis=0)
+def _parameters(physics: Physics, spread: Spread, estimates: dict[str, FlightEstimate]) -> dict[str, Parameter]:
+    """Values with intervals: from halves of the throws, and from the flights for what these decide."""
+    half_widths = dict(zip(spread.names, spread.half_widths(INTERVAL_LEVEL).tolist(), strict=True))
+    for effect, estimate in estimates.items():
+        half_widths.update(zip(EFFECTS[effect], estimate.half_widths.tolist(), strict=True))
     found = {}
-    for k, (name, value) in enumerate(point.physics.values.items()):
-        at_bound = bool(min(abs(value - bound) for bound in point.physics.bounds(name)) < _BOUND_TOLERANCE)
-        least, most = min(float(low[k]), value), max(float(high[k]), value)
-        found[name] = Parameter(value, least, most, INTERVAL_LEVEL, True, at_bound)
+    for name, value in physics.values.items():
+        least, most = physics.bounds(name)
+        at_bound = min(abs(value - least), abs(value - most)) < _BOUND_TOLERANCE
+        low, high = max(value - half_widths[name], least), min(value + half_widths[name], most)
+        found[name] = Parameter(value, low, high, INTERVAL_LEVEL, True, bool(at_bound))
     return found
 
 
-def _scatter(data: DataSet, point: Linearisation) -> tuple[Array, float | None]:
-    """χ from each throw alone (NaN without information), and its scatter beyond the errors of the release states."""
+def _covariance(spread: Spread, estimates: dict[str, FlightEstimate]) -> ParameterCovariance:
+    """Blocks of what impacts and what flights decide."""
+    names = [*spread.names, *(name for effect in estimates for name in EFFECTS[effect])]
+    return ParameterCovariance(tuple(names), block_diag(spread.covariance, *(e.covariance for e in estimates.values())))
+
+
+def _misfit(data: DataSet, point: Linearisation, residuals: list[Array], moved: list[list[Array]]) -> Misfit:
+    """How far throws are off that were left out, less what the errors of their release states explain."""
+    since = np.concatenate([entry.times_s - entry.release.fair_state.time_s for entry in data.entries])
+    order, squares = np.argsort(since, kind="stable"), np.empty((len(since), 2))
+    for k, part in enumerate((slice(0, 3), slice(3, 6))):
+        off = [(own[:, part] ** 2).mean(1) for own in residuals]
+        drawn = [
+            np.mean([(one[:, part] - own[:, part]) ** 2 for one in ones], axis=0).mean(1)
+            for own, ones in zip(point.residuals, zip(*moved, strict=True), strict=True)
+        ]
+        squares[:, k] = np.concatenate(off) - np.concatenate(drawn)
+    parts = [part for part in np.array_split(order, _MISFIT_TIMES) if len(part)]
+    means = np.sqrt(np.maximum([squares[part].mean(0) for part in parts], 0.0))
+    return Misfit(np.array([since[part].mean() for part in parts]), means[:, 0], means[:, 1] / data.arm_m)
+
+
+def _scatter(data: DataSet, point: Linearisation, moved: list[list[Array]]) -> tuple[Array, float | None]:
+    """χ from each throw alone (NaN without information), and its scatter beyond the errors of the release states, whose draws
+    leave the residuals `moved`."""
     which = point.physics.free.index("chi")
     count = len(data.entries)
-    moved = [data.residuals(point.physics, changes) for changes in drawn_perturbations(data.entries)]
     own, noise = np.full(count, np.nan), np.full(count, np.nan)
     for k, entry in enumerate(data.entries):
         slope = point.slopes[k][: entry.early, :, which]
@@ -198,7 +256,11 @@ def _scatter(data: DataSet, point: Linearisation) -> tuple[Array, float | None]:
 
 
 def _messages(
-    data: DataSet, throws: Sequence[PredictedThrow], chosen: Sequence[Effect], scatter: float | None
+    data: DataSet,
+    throws: Sequence[PredictedThrow],
+    chosen: Sequence[Effect],
+    scatter: float | None,
+    spread: Spread,
 ) -> tuple[str, ...]:
     position = float(np.mean([throw.position_error_m for throw in throws]))
     turned = float(np.degrees(np.mean([throw.rotation_error_rad for throw in throws])))
@@ -209,4 +271,8 @@ def _messages(
     ]
     if scatter is not None:
         messages.append(f"chi scatters by {scatter:.2g} from throw to throw, beyond the errors of the frames.")
+    for one, other, correlation in spread.trade_offs(_CORRELATED):
+        messages.append(
+            f"{one} and {other} trade against each other: their errors have a correlation of {correlation:.2f}."
+        )
     return tuple(messages)

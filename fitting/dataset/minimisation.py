@@ -1,4 +1,5 @@
-"""Minimisation of the mean cost of a data set: iteratively reweighted least squares with Marquardt's damping.
+"""Minimisation of the mean cost of a data set: iteratively reweighted least squares with Marquardt's damping, from one start or
+from several.
 
 The release states are held, so all throws share one set of unknowns. The normal equations are a sum over throws of k × k
 blocks, and the computing time grows with the number of throws only. They are reweighted at each step (Holland & Welsch,
@@ -29,26 +30,26 @@ _LENGTH_STEP = 0.005
 _INERTIA_STEP = 0.02
 """The same of an inertia, relative to the die's."""
 
-_MAX_ROUNDS = 12
-"""Linearisations of one minimisation."""
+_MAX_ROUNDS = 25
+"""Rounds of one descent."""
 
 CONVERGED = 1e-3
-"""Relative fall of the cost by a step below which no other step follows."""
+"""Relative fall of the cost in a round below which a descent ends."""
 
 NEARLY_CONVERGED = 1e-2
-"""The same where an effect is only to be accepted or refused."""
+"""The same where starts or effects are only to be compared."""
 
 _FIRST_DAMPING = 1e-2
 """Relative damping of the first step."""
 
+_LEAST_DAMPING = 1e-4
+"""The same of any step."""
+
 _DAMPING_FALL = 0.2
 """Factor of the damping after a step that lowers the cost."""
 
-_DAMPING_RISE = 30.0
-"""The same after one that does not."""
-
-_MAX_DAMPING = 1.0
-"""Damping above which no shorter step is tried."""
+_DAMPING_FACTORS = (1.0, 30.0, 900.0)
+"""Of the steps that one round tries until one lowers the cost."""
 
 _JUMP = 0.3
 """Shift of a pose within one step of a difference, in circumradii, at which the motion has jumped."""
@@ -72,6 +73,13 @@ class Linearisation:
     """(throws, k) of the normal equations."""
     slopes: list[Array]
     """(n, 6, k) of each throw."""
+    displaced: tuple[tuple[float, Physics], ...]
+    """Mean cost and physics of each point of the differences."""
+
+    @property
+    def cost(self) -> float:
+        """Mean over the throws [m]."""
+        return float(self.costs.mean())
 
     @property
     def steps(self) -> Array:
@@ -85,39 +93,63 @@ class Linearisation:
 
 
 def minimised(data: DataSet, physics: Physics, converged: float = CONVERGED) -> Linearisation:
-    """The physics of least mean cost, from a start."""
-    point, damping = linearised_at(data, physics), _FIRST_DAMPING
-    everyone = np.ones(len(data.entries), bool)
+    """The physics of least mean cost that a descent from a start reaches.
+
+    Each round takes the best of Gauss-Newton steps and of the displaced points of the differences, whose costs are known
+    anyway: the cost of throws that part from each other is rough, and the normal equations alone end in a dent of it. The
+    descent ends where none of them lowers the cost by the part `converged`, whichever way the differences go.
+    """
+    point, damping, turned = linearised_at(data, physics), _FIRST_DAMPING, False
     for _ in range(_MAX_ROUNDS):
-        trial = point.moved(everyone, damping)
-        gain = 1.0 - data.mean_cost(trial) / max(float(point.costs.mean()), 1e-300)
-        if gain > 0.0:
-            point, damping = linearised_at(data, trial), _DAMPING_FALL * damping
-            if gain < converged:
-                break
-        elif damping > _MAX_DAMPING:
+        cost, trial, is_step = _best_trial(data, point, damping, converged)
+        if cost < (1.0 - converged) * point.cost:
+            point, turned = linearised_at(data, trial), False
+            damping = max(_LEAST_DAMPING, _DAMPING_FALL * damping) if is_step else damping
+        elif turned or not point.displaced:
             break
         else:
-            damping *= _DAMPING_RISE
+            point, turned = linearised_at(data, point.physics, backwards=True), True
     return point
 
 
-def linearised_at(data: DataSet, physics: Physics) -> Linearisation:
-    """Costs and derivatives at one physics."""
+def _best_trial(data: DataSet, point: Linearisation, damping: float, converged: float) -> tuple[float, Physics, bool]:
+    """Cost and physics of the best point at hand, and whether it is a Gauss-Newton step."""
+    cost, best, is_step = np.inf, point.physics, False
+    everyone = np.ones(len(data.entries), bool)
+    for factor in _DAMPING_FACTORS:
+        trial = point.moved(everyone, factor * damping)
+        if (there := data.mean_cost(trial)) < cost:
+            cost, best, is_step = there, trial, True
+        if cost < (1.0 - converged) * point.cost:
+            break
+    for there, trial in point.displaced:
+        if there < cost:
+            cost, best, is_step = there, trial, False
+    return cost, best, is_step
+
+
+def linearised_at(data: DataSet, physics: Physics, *, backwards: bool = False) -> Linearisation:
+    """Costs and derivatives at one physics, by differences towards larger values or, `backwards`, towards smaller ones."""
     here = data.residuals(physics)
     slopes: list[list[Array]] = [[] for _ in here]
+    displaced: list[tuple[float, Physics]] = []
     for name in physics.free:
-        step = step_of(physics, name)
-        _, high = physics.bounds(name)
-        sign = 1.0 if physics.values[name] + step <= high else -1.0
-        there = data.residuals(physics.with_values(**{name: physics.values[name] + sign * step}))
+        step = -step_of(physics, name) if backwards else step_of(physics, name)
+        low, high = physics.bounds(name)
+        step = step if low <= physics.values[name] + step <= high else -step
+        moved = physics.with_values(**{name: physics.values[name] + step})
+        there = data.residuals(moved)
+        displaced.append((float(data.costs(there).mean()), moved))
         for k, columns in enumerate(slopes):
-            columns.append(-sign * (there[k] - here[k]))
-    jump = _JUMP * physics.die.solid.circumradius
-    jacobians = [_without_jumps(np.stack(columns, axis=2), jump) for columns in slopes]
+            columns.append(-np.sign(step) * (there[k] - here[k]))
+    count, jump = len(physics.free), _JUMP * physics.die.solid.circumradius
+    jacobians = [
+        _without_jumps(np.stack(columns, axis=2), jump) if count else np.empty((*own.shape, 0))
+        for columns, own in zip(slopes, here, strict=True)
+    ]
     equations = [_normal_equations(r, j, s) for r, j, s in zip(here, jacobians, data.slack, strict=True)]
     blocks, right_sides = np.array([e[0] for e in equations]), np.array([e[1] for e in equations])
-    return Linearisation(physics, here, data.costs(here), blocks, right_sides, jacobians)
+    return Linearisation(physics, here, data.costs(here), blocks, right_sides, jacobians, tuple(displaced))
 
 
 def left_out_residuals(data: DataSet, point: Linearisation) -> list[Array]:

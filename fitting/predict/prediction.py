@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +30,14 @@ from ...model.throw import (
     kernel_states,
     packed_state,
     touching_vertices,
+    unpacked_state,
     world_poses,
 )
 from ...tracking.covariance import covariance_root
 from ...tracking.flights import perturbed
 from ...tracking.track import ABSENT, TRACKED, Track
 from ..estimation import normal_quantile
-from ..results import Parameter
+from ..results import Parameter, ParameterCovariance
 from ..throw import COARSE, INTERVAL_LEVEL, Physics, in_true_units, kernel_body, resting_face
 from .release_state import (
     MIN_FLIGHT_FRAMES,
@@ -114,34 +115,50 @@ def simulated_throws(
     precision: engine.Precision = COARSE,
 ) -> tuple[Array, Array]:
     """`simulated_poses` of many throws, one after the other: (Σ n, 3) and (Σ n, 4), computed by the threads of the pool."""
-    for state, times in zip(states, times_s, strict=True):
-        if len(times) and times[0] < state.time_s - _TIME_ROUNDING_S:
-            raise ValueError(f"times_s from {times[0]:g}: wanted none before the state's, {state.time_s:g} s")
-    starts = [lifted(physics, in_true_units(physics, state)) for state in states]
+    packed = np.array([packed_state(state) for state in states])
+    return simulated_packed(physics, packed, np.array([state.time_s for state in states]), times_s, pool, precision)
+
+
+def simulated_packed(
+    physics: Physics,
+    packed: Array,
+    begins_s: Array,
+    times_s: Sequence[Array],
+    pool: ThreadPoolExecutor | None = None,
+    precision: engine.Precision = COARSE,
+) -> tuple[Array, Array]:
+    """The same from states as `model.throw.packed_state` makes them, (m, 13) at the times (m,) [s]."""
+    for begin, times in zip(begins_s, times_s, strict=True):
+        if len(times) and times[0] < begin - _TIME_ROUNDING_S:
+            raise ValueError(f"times_s from {times[0]:g}: wanted none before the state's, {begin:g} s")
+    clock, length = physics.clock, physics.length
+    true = packed / np.repeat([length, 1.0, clock * length, clock], (3, 4, 3, 3))
+    starts, begins = lifted(physics, true, clock * begins_s), clock * begins_s
     firsts = np.concatenate([[0], np.cumsum([len(times) for times in times_s])]).astype(np.int64)
-    times = physics.clock * np.concatenate([np.empty(0), *times_s])
+    times = clock * np.concatenate([np.empty(0), *times_s])
     if physics.body.isotropic_inertia_kg_m2 is None:
-        positions, quaternions = _asymmetric_poses(physics, starts, times, firsts)
+        positions, quaternions = _asymmetric_poses(physics, starts, begins, times, firsts)
     else:
-        positions, quaternions = _kernel_poses(physics, starts, times, firsts, pool, precision)
-    return physics.length * positions, quaternions
+        positions, quaternions = _kernel_poses(physics, starts, begins, times, firsts, pool, precision)
+    return length * positions, quaternions
 
 
 def _asymmetric_poses(
-    physics: Physics, starts: Sequence[State], times: Array, firsts: NDArray[np.int64]
+    physics: Physics, starts: Array, begins_s: Array, times: Array, firsts: NDArray[np.int64]
 ) -> tuple[Array, Array]:
     """Poses of throws of a body with three moments of inertia, one by one, in true units."""
     poses = np.empty((len(times), 7))
-    for start, low, high in zip(starts, firsts, firsts[1:], strict=False):
+    for start, begin, low, high in zip(starts, begins_s, firsts, firsts[1:], strict=False):
         if high > low:
-            throw = physics.throw(start, Until(time_s=float(times[high - 1]))).throw
+            throw = physics.throw(unpacked_state(start, begin), Until(time_s=float(times[high - 1]))).throw
             poses[low:high] = np.hstack(throw.poses(times[low:high]))
     return poses[:, :3], poses[:, 3:]
 
 
 def _kernel_poses(
     physics: Physics,
-    starts: Sequence[State],
+    starts: Array,
+    begins_s: Array,
     times: Array,
     firsts: NDArray[np.int64],
     pool: ThreadPoolExecutor | None,
@@ -149,14 +166,13 @@ def _kernel_poses(
 ) -> tuple[Array, Array]:
     """Poses of throws of a body with one moment of inertia, by the compiled event loop, in true units."""
     poses = np.empty((len(times), 7))
-    packed = kernel_states(physics.body, physics.plane, np.array([packed_state(start) for start in starts]))
-    begins = np.array([start.time_s for start in starts])
+    packed = kernel_states(physics.body, physics.plane, starts)
     law = engine.law_of(physics.law.code, physics.law.parameters)
     cap = BOUNCING_CAP if physics.values["chi"] >= 1.0 or physics.plane.moves else IMPACT_CAP
     setup = engine.Setup(kernel_body(physics.body), law, physics.plane.plane, precision)
 
     def part(low: int, high: int) -> None:
-        engine.poses_of_throws(setup, packed[low:high], begins[low:high], times, firsts[low : high + 1], cap, poses)
+        engine.poses_of_throws(setup, packed[low:high], begins_s[low:high], times, firsts[low : high + 1], cap, poses)
 
     if pool is None:
         part(0, len(starts))
@@ -166,13 +182,15 @@ def _kernel_poses(
     return world_poses(physics.body, physics.plane, poses)
 
 
-def lifted(physics: Physics, state: State) -> State:
-    """The state with no corner below the table."""
+def lifted(physics: Physics, states: Array, times_s: Array) -> Array:
+    """States (m, 13) at the times (m,) [s] with no corner below the table."""
     up = matrix_from_quat(physics.plane.world_from_table)[:, 2]
-    height = touching_vertices(physics.body) @ matrix_from_quat(state.quaternion).T @ up
-    of_table = engine.table_height(physics.plane.plane, state.time_s)
-    lowest = float(height.min() + up @ state.position_m - physics.body.corner_radius_m - of_table)
-    return state if lowest >= 0.0 else replace(state, position_m=state.position_m - lowest * up)
+    arms = matrix_from_quat(states[:, 3:7]) @ touching_vertices(physics.body).T
+    heights = np.einsum("i,mij->mj", up, arms).min(1) + states[:, :3] @ up
+    of_table = np.array([engine.table_height(physics.plane.plane, time) for time in times_s])
+    raised = states.copy()
+    raised[:, :3] -= np.minimum(heights - physics.body.corner_radius_m - of_table, 0.0)[:, None] * up
+    return raised
 
 
 def predict_track(physics: Physics, track: Track, release: ReleaseState, precision: engine.Precision = COARSE) -> Track:
@@ -194,14 +212,23 @@ def predict_track(physics: Physics, track: Track, release: ReleaseState, precisi
 
 
 def face_odds(
-    physics: Physics, parameters: dict[str, Parameter], release: ReleaseState, *, draws: int = DRAWS, seed: int = 0
+    physics: Physics,
+    parameters: dict[str, Parameter],
+    release: ReleaseState,
+    covariance: ParameterCovariance | None = None,
+    *,
+    draws: int = DRAWS,
+    seed: int = 0,
 ) -> tuple[dict[int, float], float]:
-    """Odds of every face, and the share of draws that landed on none, from the covariance of the release state and the
-    intervals of the parameters."""
+    """Odds of every face, and the share of draws that landed on none, from the covariance of the release state and that of the
+    parameters or, without it, their intervals."""
     rng = np.random.default_rng(seed)
     root = covariance_root(release.covariance)
     landed = [
-        _landing(_drawn(physics, parameters, rng), perturbed(release.state, root @ rng.standard_normal(12)))
+        _landing(
+            drawn_physics(physics, parameters, covariance, rng),
+            perturbed(release.state, root @ rng.standard_normal(12)),
+        )
         for _ in range(draws)
     ]
     return {face: landed.count(face) / draws for face in _faces(physics)}, landed.count(0) / draws
@@ -217,6 +244,7 @@ def decide(
     parameters: dict[str, Parameter],
     track: Track,
     row: int,
+    covariance: ParameterCovariance | None = None,
     *,
     draws: int = DRAWS,
     seed: int = 0,
@@ -225,7 +253,7 @@ def decide(
     on which the last frames show the die at rest."""
     steps, flights = [], _flights_from(track, physics, row)
     for bounces, release in flights:
-        odds, none = face_odds(physics, parameters, release, draws=draws, seed=seed)
+        odds, none = face_odds(physics, parameters, release, covariance, draws=draws, seed=seed)
         steps.append(FaceOdds(bounces, release.state.time_s, len(release.rows), odds, none))
     rested = resting_face(track, physics.die)
     if rested is not None:
@@ -262,12 +290,20 @@ def _flights_from(track: Track, physics: Physics, row: int) -> list[tuple[int, R
     return found
 
 
-def _drawn(physics: Physics, parameters: dict[str, Parameter], rng: np.random.Generator) -> Physics:
-    """The physics with every free parameter drawn from its interval: a normal distribution with a width for each side."""
+def drawn_physics(
+    physics: Physics, parameters: dict[str, Parameter], covariance: ParameterCovariance | None, rng: np.random.Generator
+) -> Physics:
+    """The physics with its parameters drawn from their joint covariance or, where that is unknown, each from its interval: a
+    normal distribution with a width for each side."""
     values = {}
+    if covariance is not None:
+        errors = covariance_root(covariance.matrix) @ rng.standard_normal(len(covariance.names))
+        values = {n: physics.values[n] + float(e) for n, e in zip(covariance.names, errors, strict=True)}
     for name, parameter in parameters.items():
         value, low, high, level = parameter.value, parameter.low, parameter.high, parameter.level
-        if name not in physics.values or not parameter.free or value is None or low is None or high is None:
+        if name in values or name not in physics.values or not parameter.free:
+            continue
+        if value is None or low is None or high is None:
             continue
         sigmas = rng.standard_normal()
         half_width = high - value if sigmas > 0.0 else value - low
@@ -277,6 +313,7 @@ def _drawn(physics: Physics, parameters: dict[str, Parameter], rng: np.random.Ge
 
 def _landing(physics: Physics, state: State) -> int:
     """The face on which one throw lands; 0 for none."""
-    start = lifted(physics, in_true_units(physics, state))
+    start = in_true_units(physics, state)
+    packed = lifted(physics, packed_state(start)[None], np.array([start.time_s]))
     precision = Precision(slowest_bounce=COARSE.slowest_bounce, step_turn_rad=COARSE.step_turn)
-    return int(ThrowSetup(physics.body, physics.law, physics.plane, precision).throw(packed_state(start)[None]).face[0])
+    return int(ThrowSetup(physics.body, physics.law, physics.plane, precision).throw(packed).face[0])

@@ -54,6 +54,15 @@ VELOCITY_ROUNDING = 4.4e-16
 MAX_SECANTS = 100
 """Steps of that search."""
 
+JAMMING_MARGIN = 2.0
+"""Least ratio of the normal compliance to what friction takes from it at which the sliding direction is looked for alone."""
+
+MAX_DIRECTION_STEPS = 20
+"""Steps of the search for that direction; some four are used."""
+
+LARGEST_TURN = 0.5
+"""[rad] of one of them."""
+
 STICKING_SPEED = 1e-9
 """Speed below which a corner has stopped, as a part of the velocities in the step: above the tolerance of the sweeps."""
 
@@ -80,9 +89,9 @@ TOUCH_TOLERANCE = 1e-12
 def inelastic_impulse(matrix: Matrix6, mu: float, cx: float, cy: float, cz: float) -> tuple[float, float, float]:
     """The impulse S of an inelastic contact within Coulomb's cone; c is the contact velocity without it, c + M S with it.
 
-    The contact lifts off (S = 0), sticks (c + M S = 0), or slides along ŝ with S = p (-μ ŝ, 1). A given p leaves the slip the
-    least kinetic energy where (μ p T + σ) ŝ = c_t + b p. w(p) = 0 is solved by secants that keep a bracket: w(0) < 0, and w
-    rises for large p.
+    The contact lifts off (S = 0), sticks (c + M S = 0), or slides along ŝ with S = p (-μ ŝ, 1). Newton's method finds the
+    direction; where it fails, secants find p, with a bracket. A given p leaves the slip the least kinetic energy where
+    (μ p T + σ) ŝ = c_t + b p, and the normal velocity w has w(0) < 0 and rises for large p.
     """
     xx, xy, xz, yy, yz, zz = matrix
     if cz >= 0.0:
@@ -93,6 +102,9 @@ def inelastic_impulse(matrix: Matrix6, mu: float, cx: float, cy: float, cz: floa
     p = (xz * lx + yz * ly - cz) / (zz - xz * ex - yz * ey)
     if p >= 0.0 and hypot(lx + ex * p, ly + ey * p) <= mu * p:
         return -lx - ex * p, -ly - ey * p, p
+    slides, sx, sy, p = _sliding_impulse(matrix, mu, cx, cy, cz)
+    if slides:
+        return sx, sy, p
     low, w_low, high = 0.0, cz, -2.0 * cz / zz
     sx, sy, w_high = _held_slide(matrix, mu, cx, cy, cz, high)
     while w_high < 0.0:
@@ -115,6 +127,42 @@ def inelastic_impulse(matrix: Matrix6, mu: float, cx: float, cy: float, cz: floa
             w_low *= 0.5 if stayed < -1 else 1.0
     sx, sy, _ = _held_slide(matrix, mu, cx, cy, cz, high)
     return sx, sy, high
+
+
+@inner
+def _sliding_impulse(matrix: Matrix6, mu: float, cx: float, cy: float, cz: float) -> tuple[bool, float, float, float]:
+    """Whether Newton's method finds the direction in which the contact slides, and the impulse.
+
+    With p = -c_z/(a - μ b·ŝ) the normal velocity vanishes. The slip v = c_t + p (b - μ T ŝ) that is left must lie along ŝ: the
+    angle of ŝ is a root of t̂·v, with t̂ ⊥ ŝ. It counts where ŝ·v ≥ 0, which says that friction opposes the slip.
+    """
+    xx, xy, xz, yy, yz, zz = matrix
+    # Where friction may change the sign of a - μ b·ŝ, the contact may jam, and there may be several directions.
+    if zz <= JAMMING_MARGIN * mu * hypot(xz, yz):
+        return False, 0.0, 0.0, 0.0
+    ux, uy = cx - xz * cz / zz, cy - yz * cz / zz
+    size = hypot(ux, uy)
+    if size == 0.0:
+        return False, 0.0, 0.0, 0.0
+    ux, uy = ux / size, uy / size
+    for _ in range(MAX_DIRECTION_STEPS):
+        tx, ty = -uy, ux
+        stiffness = zz - mu * (xz * ux + yz * uy)
+        p = -cz / stiffness
+        ax, ay = xz - mu * (xx * ux + xy * uy), yz - mu * (xy * ux + yy * uy)
+        vx, vy = cx + p * ax, cy + p * ay
+        along, across = ux * vx + uy * vy, tx * vx + ty * vy
+        if abs(across) <= VELOCITY_ROUNDING * (abs(cx) + abs(cy) + p * (abs(ax) + abs(ay))):
+            return along >= 0.0, -mu * p * ux, -mu * p * uy, p
+        dp = p * mu * (xz * tx + yz * ty) / stiffness
+        slope = dp * (tx * ax + ty * ay) - mu * p * (xx * tx * tx + 2.0 * xy * tx * ty + yy * ty * ty) - along
+        if slope >= 0.0:
+            break
+        turn = min(max(-across / slope, -LARGEST_TURN), LARGEST_TURN)
+        ux, uy = ux + turn * tx, uy + turn * ty
+        size = hypot(ux, uy)
+        ux, uy = ux / size, uy / size
+    return False, 0.0, 0.0, 0.0
 
 
 @inner

@@ -54,6 +54,10 @@ def test_several_tracks_share_their_parameters(fitted: Path) -> None:
     assert [throw["track"] for throw in fit["throws"]] == ["throw_0", "throw_1", "throw_2"]
     assert fit["law"]["friction"] == "none"
     assert len(fit["left_out"]) == 2
+    assert fit["minima"][0]["parameters"]["chi"] == fit["parameters"]["chi"]["value"]
+    assert fit["covariance"]["names"] == ["chi"]
+    assert 0.0 < fit["covariance"]["matrix"][0][0] < 0.02**2
+    assert len(fit["misfit"]["t_s"]) == len(fit["misfit"]["position_m"]) == len(fit["misfit"]["rotation_rad"])
     assert (fitted.parent / "vertices.csv").exists()
     assert (fitted.parent / "provenance.json").exists()
 
@@ -66,6 +70,11 @@ def test_a_prediction_has_one_row_per_row_of_its_track(throws: Path, fitted: Pat
     assert "after bounces" in output
     predicted, beside = read_simulated(out), json.loads(out.with_suffix(".json").read_text())
     assert len(predicted) == 196
+    covariances = np.load(out.with_name("one_covariance.npy"))
+    assert covariances.shape == (196, 6, 6)
+    simulated = predicted.tracked & (predicted.time_s > beside["state"]["t_s"])
+    assert (np.linalg.eigvalsh(covariances[simulated])[:, -1] > 0.0).all()
+    assert np.isnan(covariances[~simulated]).all()
     assert "throw_0.csv" in {Path(each["path"]).name for each in beside["provenance"]["inputs"]}
     assert beside["frames_used"] >= 3
     assert set(beside["decided"]) == {"face", "bounces", "t_s"}
@@ -81,14 +90,15 @@ def test_predictions_of_several_tracks_fill_a_folder(throws: Path, fitted: Path)
     assert status == 0, notes
     assert "2 throws predicted" in output
     assert "falling.csv is left out" in notes
-    files = {"throw_1.csv", "throw_1.json", "throw_2.csv", "throw_2.json", "provenance.json"}
+    kinds = (".csv", ".json", "_covariance.npy")
+    files = {f"throw_{k}{kind}" for k in (1, 2) for kind in kinds} | {"provenance.json"}
     assert {path.name for path in out.iterdir()} == files
     origin = json.loads((out / "provenance.json").read_text())
     read = {Path(each["path"]).name for each in origin["inputs"]}
     assert read >= {"scene.toml", "fit.json", "throw_1.csv", "throw_2.csv"}
     status, said, notes = invoke("rerun", out)
     assert status == 0, said + notes
-    assert "agree bit for bit, in all 4 files" in said
+    assert "agree bit for bit, in all 6 files" in said
 
 
 @pytest.mark.parametrize(
@@ -97,6 +107,8 @@ def test_predictions_of_several_tracks_fill_a_folder(throws: Path, fitted: Path)
         ({"parameters": {"chi": None}}, "not a fit"),
         ({"parameters": {"bounciness": {"value": 0.5}}}, "not a fit"),
         ({"law": {"friction": "coulomb"}}, "law.friction = coulomb; wanted none"),
+        ({"covariance": {"names": ["chi", "mu"], "matrix": [[1.0]]}}, "covariance of shape (1, 1) for 2 names"),
+        ({"misfit": {"t_s": [0.0, 1.0], "position_m": [0.0], "rotation_rad": [0.0]}}, "misfit without as many"),
     ],
 )
 def test_a_file_that_is_no_fit_is_refused(

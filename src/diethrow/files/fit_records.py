@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fitting.results import USUAL_CHOICES, Choices, Effect, Fit, Parameter
+from ..fitting.results import USUAL_CHOICES, Choices, Effect, Fit, Misfit, Parameter, ParameterCovariance
 from ..model.laws import CoulombImpact, FrictionBySpeed, Restitution, RestitutionBySpeed, SmoothImpact
 from ..model.rotations import euler_from_quat, matrix_from_quat
 from ..model.throw import State
@@ -127,6 +127,40 @@ def read_parameters(path: Path) -> tuple[dict[str, Parameter], Restitution]:
         if key != "words" and law.get(key) != wanted:
             raise ValueError(f"{path}: law.{key} = {law.get(key)}; wanted {wanted}")
     return parameters, kind
+
+
+def errors_tables(covariance: ParameterCovariance, misfit: Misfit) -> dict[str, Any]:
+    """The errors of a joint fit in the form of its JSON."""
+    return {
+        "covariance": {"names": list(covariance.names), "matrix": covariance.matrix},
+        "misfit": {
+            "t_s": misfit.time_s,
+            "position_m": misfit.position_m,
+            "rotation_rad": misfit.rotation_rad,
+        },
+    }
+
+
+def read_errors(path: Path) -> tuple[ParameterCovariance | None, Misfit | None]:
+    """The covariance of the parameters and the misfit of the law in the `fit.json` of many throws; None in that of one.
+
+    Raises ValueError, with the file, for tables that do not belong together."""
+    data = read_json(path)
+    try:
+        covariance, misfit = data.get("covariance"), data.get("misfit")
+        found = None
+        if covariance is not None:
+            found = ParameterCovariance(tuple(covariance["names"]), np.array(covariance["matrix"], float))
+            if found.matrix.shape != (len(found.names),) * 2 or not np.isfinite(found.matrix).all():
+                raise ValueError(f"covariance of shape {found.matrix.shape} for {len(found.names)} names")
+        if misfit is None:
+            return found, None
+        columns = [np.array(misfit[name], float) for name in ("t_s", "position_m", "rotation_rad")]
+        if len({column.shape for column in columns}) > 1 or columns[0].ndim != 1 or (np.diff(columns[0]) < 0.0).any():
+            raise ValueError("misfit without as many positions and rotations as times, in order")
+        return found, Misfit(*columns)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path}: {error}; {NOT_A_FIT}") from error
 
 
 def read_fit(path: Path) -> Fit:

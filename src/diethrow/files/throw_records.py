@@ -96,7 +96,13 @@ def write_track(path: Path, track: Track) -> None:
     """`track.csv` at `path`, and the covariances next to it as `track_covariance.npy`."""
     columns = zip(_poses(track), _sigmas(track), track.status, strict=True)
     write_table(path, TRACK_COLUMNS, ((*pose, *sigmas, str(status)) for pose, sigmas, status in columns))
-    np.save(covariance_path(path), np.ascontiguousarray(track.covariance, np.float64), allow_pickle=False)
+    write_covariances(covariance_path(path), track)
+
+
+def write_covariances(path: Path, track: Track) -> None:
+    """The covariances of all poses: float64 (rows, 6, 6), NaN where there is none."""
+    with path.open("wb") as file:
+        np.save(file, np.ascontiguousarray(track.covariance, np.float64), allow_pickle=False)
 
 
 def read_track(path: Path, gravity_m_s2: float = GRAVITY_M_S2, turning: Turning = EVEN) -> Track:

@@ -1,6 +1,7 @@
 """Joint fit of several tracks of one die on one table, written to one folder.
 
-Its `fit.json` holds `parameters`, `law`, `effects`, `chi_scatter`, `throws` with one entry a track, and `messages`.
+Its `fit.json` holds `parameters`, `law`, `effects`, `chi_scatter`, the `minima` of the cost, the `covariance` of the parameters,
+the `misfit` of the law, `throws` with one entry a track, and `messages`.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import Any
 
 from ...analysis import Progress, RunError, silent
 from ...files.csv_and_json import write_json
-from ...files.fit_records import effects_table, law_table, parameters_table
+from ...files.fit_records import effects_table, errors_tables, law_table, parameters_table
 from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, write_provenance
 from ...files.scene import Scene
@@ -94,6 +95,8 @@ def joint_tables(fit: JointFit, left_out: Sequence[str] = ()) -> dict[str, Any]:
             "considered": effects_table(fit.considered),
         },
         "chi_scatter": fit.chi_scatter,
+        "minima": [{"cost_m": minimum.cost_m, "parameters": dict(minimum.physics.values)} for minimum in fit.minima],
+        **errors_tables(fit.covariance, fit.misfit),
         "throws": [_throw_table(throw) for throw in fit.throws],
         "left_out": list(left_out),
         "messages": [*fit.messages, *left_out],

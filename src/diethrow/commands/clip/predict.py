@@ -1,7 +1,7 @@
 """Predictions: from the frames before some instant to the last frame, with the parameters of a fit.
 
 Beside each CSV a JSON of the same name holds the frames in use, the error of the prediction, the odds of each face
-bounce by bounce, and the bounce after which the face is decided (`decided`).
+bounce by bounce, and the bounce after which the face is decided (`decided`); NAME_covariance.npy the covariances of the poses.
 """
 
 from __future__ import annotations
@@ -16,14 +16,23 @@ import numpy as np
 
 from ...analysis import Progress, RunError, silent
 from ...files.csv_and_json import write_json
-from ...files.fit_records import read_parameters, state_table
+from ...files.fit_records import read_errors, read_parameters, state_table
 from ...files.measured_throw import read_measured_throw, throw_path
 from ...files.outputs import whole_file, whole_folder
 from ...files.provenance import Stopwatch, provenance_table, write_provenance
 from ...files.scene import Scene
-from ...files.throw_records import covariance_path, read_track, write_simulated
-from ...fitting.predict import Decision, FaceOdds, ReleaseState, decide, first_bounce_row, predict_track, release_before
-from ...fitting.results import Parameter
+from ...files.throw_records import covariance_path, read_track, write_covariances, write_simulated
+from ...fitting.predict import (
+    Decision,
+    FaceOdds,
+    ReleaseState,
+    decide,
+    first_bounce_row,
+    predict_track,
+    release_before,
+    with_covariances,
+)
+from ...fitting.results import Misfit, Parameter, ParameterCovariance
 from ...fitting.throw import Physics
 from ...model.die import Die
 from ...model.laws import Restitution, Table
@@ -83,21 +92,23 @@ def predict_tracks(
     watch = Stopwatch()
     predicted = partial(_predicted, track_paths, scene, law, from_frame, draws, progress)
     if len(track_paths) == 1:
-        beside = out.with_suffix(".json")
+        beside, covariances = out.with_suffix(".json"), covariance_path(out)
         with (
             whole_file(out, force=force, inputs=inputs) as csv_file,
             whole_file(beside, force=force, inputs=inputs) as json_file,
+            whole_file(covariances, force=force, inputs=inputs) as npy_file,
         ):
             with watch.stage("predict"):
                 made, left_out = predicted()
             origin = provenance_table(command=command, understood=scene, seconds=watch.seconds, inputs=inputs)
-            _write(made[0], csv_file, json_file, provenance=origin)
+            _write(made[0], csv_file, json_file, npy_file, provenance=origin)
     else:
         with whole_folder(out, force=force, inputs=inputs) as folder:
             with watch.stage("predict"):
                 made, left_out = predicted()
             for one in made:
-                _write(one, folder / f"{one.track.stem}.csv", folder / f"{one.track.stem}.json")
+                csv = folder / f"{one.track.stem}.csv"
+                _write(one, csv, csv.with_suffix(".json"), covariance_path(csv))
             write_provenance(folder, command=command, understood=scene, seconds=watch.seconds, inputs=inputs)
     return tuple(made), (*_notices(law), *left_out)
 
@@ -148,12 +159,14 @@ def predict(path: Path, scene: Scene, law: Law, from_frame: str, draws: int) -> 
     physics = physics_of(law, scene.given_die() if tracked is None else tracked.die, table)
     row = first_bounce_row(track, physics.die) if from_frame == FIRST_BOUNCE else _row_of(track, int(from_frame))
     release = release_before(track, physics.body, row)
-    simulated = predict_track(physics, track, release)
+    simulated = with_covariances(
+        predict_track(physics, track, release), physics, release, law.parameters, law.covariance, law.misfit
+    )
     compared = track.tracked & simulated.tracked
     compared[:row] = False
     off = track.position_m[compared] - simulated.position_m[compared]
     turned_rad = angle_between(simulated.quaternion[compared], track.quaternion[compared])
-    decision = decide(physics, law.parameters, track, row, draws=draws) if draws else None
+    decision = decide(physics, law.parameters, track, row, law.covariance, draws=draws) if draws else None
     return Prediction(
         path,
         row,
@@ -173,6 +186,10 @@ class Law:
     """The file of the fit."""
     parameters: dict[str, Parameter]
     restitution: Restitution
+    covariance: ParameterCovariance | None
+    """Of the parameters; None in the fit of one throw."""
+    misfit: Misfit | None
+    """The same of what the law misses."""
 
 
 def read_law(fit_path: Path) -> Law:
@@ -180,7 +197,7 @@ def read_law(fit_path: Path) -> Law:
     parameters, restitution = read_parameters(fit_path)
     if "chi" not in parameters:
         raise ValueError(f"{fit_path}: parameters.chi is missing; wanted the fit.json that a fit writes")
-    return Law(fit_path, parameters, restitution)
+    return Law(fit_path, parameters, restitution, *read_errors(fit_path))
 
 
 def physics_of(law: Law, die: Die, table: Table) -> Physics:
@@ -209,8 +226,9 @@ def _row_of(track: Track, frame: int) -> int:
     return int(later[0])
 
 
-def _write(made: Prediction, csv: Path, beside: Path, **more: object) -> None:
+def _write(made: Prediction, csv: Path, beside: Path, covariances: Path, **more: object) -> None:
     write_simulated(csv, _continuous(made.simulated))
+    write_covariances(covariances, made.simulated)
     write_json(beside, {**prediction_table(made), **more})
 
 
