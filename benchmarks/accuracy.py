@@ -39,8 +39,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from diethrow.analysis import Analysis
 from diethrow.commands.clip.analyze import analyze
+from diethrow.files.analysis_folder import AnalysedThrow
 from diethrow.files.scene import Scene, read_scene
 from diethrow.model.rotations import angle_between, matrix_from_quat, quat_from_matrix, rotvec_from_quat
 from diethrow.model.throw.motion import Impact
@@ -117,7 +117,7 @@ def measured_column(clip: Path, truth_at: Path) -> dict[str, str]:
     turn = body_turn(result.track, truth, true_row, scene)
     return {
         **pose_rows(result.track, truth, true_row, turn, scene),
-        **bounce_rows(result.measured.impacts, truth, truth_corners(turn, scene, truth)),
+        **bounce_rows(result.throw.impacts, truth, truth_corners(turn, scene, truth)),
         "chi": chi_text(result, truth.chi),
         "seconds": f"{seconds:.1f}, of it {result.seconds['track']:.1f}",
     }
@@ -277,9 +277,9 @@ def findable(truth: Truth, frame_s: float) -> Flags:
     return flags
 
 
-def chi_text(result: Analysis, true: float) -> str:
+def chi_text(result: AnalysedThrow, true: float) -> str:
     """The error of the restitution, its interval, and whether that holds the truth."""
-    chi = result.fit.parameters["chi"]
+    chi = result.result.parameters["chi"]
     if chi.value is None:
         return "not determined"
     if chi.low is None or chi.high is None:

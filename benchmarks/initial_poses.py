@@ -33,10 +33,10 @@ from measuring import timed
 from numpy.typing import NDArray
 from tracker import print_rows
 
-from diethrow.analysis import RunError
 from diethrow.commands.clip.track import track_scene
 from diethrow.files.scene import Scene, read_scene
 from diethrow.model.rotations import angle_between
+from diethrow.runs import RunError
 from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.clip_poses import ClipPoses

@@ -57,7 +57,6 @@ from numpy.typing import NDArray
 from population_clips import RENDERER_VERSION, Draw, draw_clip, write_random_clip
 from scipy.stats import binomtest, chi2
 
-from diethrow.analysis import RunError, Tracking, silent
 from diethrow.commands.clip.fit import run_fit
 from diethrow.commands.clip.track import check_scene, track_scene
 from diethrow.executors import Processes, cluster_at, cores, one_thread
@@ -66,6 +65,7 @@ from diethrow.files.scene import Scene, SceneError, read_scene
 from diethrow.fitting.results import Fit
 from diethrow.model.die import make_die
 from diethrow.model.rotations import angle_between, matrix_from_quat
+from diethrow.runs import RunError, Tracking, silent
 from diethrow.tracking.covariance import covariance_root
 from diethrow.tracking.quality import QUALITIES
 from diethrow.tracking.throw import CLOCK_SHARE, EDGE_SHARE, displaced, usual_covariance

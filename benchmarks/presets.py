@@ -33,7 +33,6 @@ import numpy as np
 from accuracy import Truth, read_truth
 from population import progress, track_compared
 
-from diethrow.analysis import RunError, silent
 from diethrow.commands.clip.check import check_clip
 from diethrow.commands.clip.track import check_scene, track_scene
 from diethrow.commands.model.film_presets import PRESETS
@@ -43,6 +42,7 @@ from diethrow.executors import Processes, cores, one_thread
 from diethrow.files.plan import read_plan
 from diethrow.files.provenance import Stopwatch
 from diethrow.files.scene import Scene, SceneError, read_scene
+from diethrow.runs import RunError, silent
 from diethrow.tracking.check import Verdict
 from diethrow.tracking.quality import QUALITIES
 

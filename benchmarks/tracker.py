@@ -61,7 +61,6 @@ from measuring import peak_MB
 from numpy.typing import NDArray
 from replay_records import ArrayClip
 
-from diethrow.analysis import Tracking
 from diethrow.commands.clip.footage import open_footage
 from diethrow.commands.clip.track import track_scene
 from diethrow.files.scene import Scene, read_scene
@@ -74,6 +73,7 @@ from diethrow.model.rotations import (
     rotation_between,
 )
 from diethrow.model.throw.motion import Impact, State
+from diethrow.runs import Tracking
 from diethrow.tracking.footage.clip import Clip
 from diethrow.tracking.picture import PixelNoise
 from diethrow.tracking.picture.view import make_view

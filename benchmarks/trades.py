@@ -26,7 +26,6 @@ from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 from peers import DIE, ENGINES, Engine, cpu_seconds, installed, landed_faces, our_faces, releases
 
-from diethrow.analysis import RunError
 from diethrow.commands.clip.trade import (
     LADDER,
     STEPS_S,
@@ -45,6 +44,7 @@ from diethrow.model.ensembles.stepping import stepped_landings
 from diethrow.model.laws import SmoothImpact
 from diethrow.model.throw.simulate import Precision
 from diethrow.replay.pages.trade import Setting, speed_against_error
+from diethrow.runs import RunError
 from diethrow.tracking.footage.decimation import WHOLE_CLIP, Decimation
 from diethrow.tracking.quality import QUALITIES, Quality
 

@@ -99,6 +99,8 @@ class Choices:
     usual_friction: float | None = 0.3
     """Friction coefficient of usual scenes. Where the frames allow any larger one, the fitted value nearest to it is reported;
     None: that of the least cost, though others cost as much."""
+    effects: tuple[str, ...] | None = None
+    """Effects on trial; None: all that the model has of the die."""
 
     def __post_init__(self) -> None:
         low, high = MISFIT_LIMITS
@@ -112,6 +114,13 @@ class Choices:
 
 USUAL_CHOICES = Choices()
 """What is not said otherwise."""
+
+
+STATE_NAMES = (
+    *("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"),
+    *("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s"),
+)
+"""Components of the error of an initial state: position, rotation vector, velocity, angular velocity, world axes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,3 +162,12 @@ class Fit:
     `impact law`, what the residuals show beyond all of these. Empty where cameras, die and clock are exact."""
     choices: Choices = USUAL_CHOICES
     """What it was made with."""
+    vertices: tuple[int, ...] = ()
+    """Indices of the vertices that strike at the fitted bounces."""
+    fitted_until_s: float | None = None
+    """Time of the last frame in the fit, on the clock of `initial`."""
+
+    @property
+    def covariance_names(self) -> tuple[str, ...]:
+        """Of the rows of `covariance`."""
+        return (*STATE_NAMES, *(name for name, parameter in self.parameters.items() if parameter.free))

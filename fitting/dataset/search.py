@@ -4,7 +4,7 @@
 from points drawn over the whole range of usual values, on some of the throws. Where they end, points closer than a
 few steps of the differences count as one minimum. The best are refined on all throws, and all are reported with their cost.
 
-**Spread.** The throws are divided at random into two halves, each of which searches for itself, from the best minima. Half the
+**Spread.** The throws are divided at random into two halves, each of which searches for itself, from starts of its own. Half the
 difference of what the halves find has the variance of what all throws find (balanced half samples, McCarthy, Rev. Int. Stat.
 Inst. 37, 239, 1969). So the scatter between throws, the errors of the law, and which minimum is found by chance all enter the
 covariance. What other effects would make of the parameters, which other samples of the throws choose, is added. It has no more
@@ -31,8 +31,11 @@ Advance = Callable[[], None]
 STARTS = 6
 """Descents of a search, the one from the parameters at hand included."""
 
-SPLITS = 12
-"""Random divisions into halves: they determine a standard error to a fifth of itself."""
+SPLITS = 10
+"""Random divisions into halves: they determine a standard error to a quarter of itself."""
+
+_HALF_STARTS = 2
+"""Starts of the search of each half that no other search has led to."""
 
 _HALF_THROWS = 40
 """Most throws of a half: the variance of many throws follows from that of fewer, in proportion."""
@@ -132,7 +135,7 @@ def spread_of(data: DataSet, points: tuple[Linearisation, ...], effects: ChosenE
     draws = []
     for _ in range(min(SPLITS, _divisions(count))):
         order = rng.permutation(count)
-        found = [_found_by(data, np.sort(which), points) for which in (order[:half], order[half : 2 * half])]
+        found = [_found_by(data, np.sort(which), points, rng) for which in (order[:half], order[half : 2 * half])]
         # Var(a - b) = 2 σ²/m for two sets of m throws, where all n have σ²/n.
         draws.append(np.sqrt(half / (2.0 * count)) * (found[0] - found[1]))
         advance()
@@ -144,14 +147,16 @@ def spread_of(data: DataSet, points: tuple[Linearisation, ...], effects: ChosenE
     return Spread(names, np.array(draws), by_choice, min(len(draws), count - 1))
 
 
-def _found_by(data: DataSet, which: NDArray[np.int64], points: tuple[Linearisation, ...]) -> Array:
-    """The free parameters that some of the throws find, from where their own normal equations lead."""
-    part = data.some(which)
-    starts = [point.moved(which, damping) for point in points for damping in (0.0, 1.0)]
-    starts.sort(key=part.mean_cost)
-    ends = [minimised(part, start) for start in starts[:_REFINED]]
-    best = min(ends, key=lambda point: point.cost).physics
-    return np.array([best.values[name] for name in points[0].physics.free])
+def _found_by(
+    data: DataSet, which: NDArray[np.int64], points: tuple[Linearisation, ...], rng: np.random.Generator
+) -> Array:
+    """The free parameters that some of the throws find: from where their own normal equations lead, and from starts anew."""
+    part, physics = data.some(which), points[0].physics
+    starts = [_physics_drawn(physics, rng) for _ in range(_HALF_STARTS)]
+    starts += [point.moved(which) for point in points]
+    ends = sorted((minimised(part, start, NEARLY_CONVERGED) for start in starts), key=lambda point: point.cost)
+    best = minimised(part, ends[0].physics).physics
+    return np.array([best.values[name] for name in physics.free])
 
 
 def _value(physics: Physics, name: str) -> float:
@@ -168,9 +173,13 @@ def _starts(physics: Physics) -> list[Physics]:
     """The physics at hand, and others drawn over the usual range of each free parameter."""
     rng, starts = np.random.default_rng(0), [physics]
     for _ in range(STARTS - 1 if len(physics.free) > 1 else 2):
-        values = {name: _drawn(physics, name, rng) for name in physics.free}
-        starts.append(physics.with_values(**values))
+        starts.append(_physics_drawn(physics, rng))
     return starts
+
+
+def _physics_drawn(physics: Physics, rng: np.random.Generator) -> Physics:
+    """The physics with each free parameter drawn over its usual range."""
+    return physics.with_values(**{name: _drawn(physics, name, rng) for name in physics.free})
 
 
 def _drawn(physics: Physics, name: str, rng: np.random.Generator) -> float:

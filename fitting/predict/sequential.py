@@ -16,12 +16,12 @@ from ..estimation import flight_observations
 from ..free import FreeFlights, fit_flights
 from ..results import Fit, Parameter
 from ..throw import (
-    Physics,
     Trajectory,
     extend_through_bounces,
     first_flight_trajectory,
     landing_odds,
     parameters_of,
+    physics_of_fit,
     table_under,
     weighted_as_inflated,
 )
@@ -64,13 +64,6 @@ def sequential_estimates(
             found.append(_estimate(beam[0], measured, free))
     odds = {fit.landed_face: 1.0} if fit.landed_face is not None else fit.face_odds
     return (*found, Estimate(reached, measured.impacts[reached - 1].time_s, fit.parameters["chi"], odds))
-
-
-def physics_of_fit(fit: Fit, die: Die, table: Table) -> Physics:
-    """Die, table and law with the values that a fit found."""
-    values = {name: p.value for name, p in fit.parameters.items() if p.value is not None}
-    held = frozenset(name for name, p in fit.parameters.items() if not p.free and name in values)
-    return Physics(die, table, {"chi": 0.5}, held, fit.restitution).with_values(**values)
 
 
 def _estimate(trajectory: Trajectory, measured: Throw, free: FreeFlights) -> Estimate:

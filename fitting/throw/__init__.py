@@ -8,10 +8,13 @@ the table and the parameters of the laws in use, which predictions and joint fit
 from .clock_and_scale import in_true_units as in_true_units
 from .extension import extend_through_bounces as extend_through_bounces
 from .landing import landing_odds as landing_odds
+from .landing import physics_of_fit as physics_of_fit
 from .landing import resting_face as resting_face
+from .landing import throw_of_fit as throw_of_fit
 from .physics import CALIBRATION_LIMITS as CALIBRATION_LIMITS
 from .physics import CENTRE_OF_MASS as CENTRE_OF_MASS
 from .physics import COARSE as COARSE
+from .physics import EFFECTS as EFFECTS
 from .physics import Physics as Physics
 from .physics import kernel_body as kernel_body
 from .physics import table_under as table_under

@@ -99,7 +99,7 @@ class Trial:
 
 def try_effects(trajectory: Trajectory, measured: Throw, free: FreeFlights) -> list[Trial]:
     """Every effect that is not in use, tried on the frames that a trajectory explains."""
-    return [_try(trajectory, effect, measured, free) for effect in unused_effects(trajectory.physics)]
+    return [_try(trajectory, effect, measured, free) for effect in unused_effects(trajectory.physics, free)]
 
 
 def try_effects_on_next_flight(trajectory: Trajectory, measured: Throw, free: FreeFlights) -> list[Trial]:
@@ -112,7 +112,7 @@ def try_effects_on_next_flight(trajectory: Trajectory, measured: Throw, free: Fr
     if attempt is None or not attempt.vertices:
         return try_effects(trajectory, measured, free) if trajectory.vertices else []
     trials: list[Trial] = []
-    for effect in unused_effects(trajectory.physics):
+    for effect in unused_effects(trajectory.physics, free):
         # Once one effect explains the flight, another must do the same, which a few frames show.
         explained = any(trial.trajectory is not None and is_explained(trial.trajectory, free) for trial in trials)
         trials.append(_try_on_attempt(trajectory, attempt, effect, measured, free, exhaustive=not explained))
@@ -127,14 +127,15 @@ def superseded_effect(trajectory: Trajectory, free: FreeFlights) -> str | None:
     k2 = free.huber_threshold
     for effect in trajectory.physics.effects:
         plainer = refitted_with(trajectory, trajectory.physics.without_effect(effect), k2)
-        if not _compared(plainer, trajectory, effect, k2).is_accepted:
+        if not _compared(plainer, trajectory, effect, free).is_accepted:
             return effect
     return None
 
 
-def unused_effects(physics: Physics) -> list[str]:
-    """The effects that are not in use and are compatible with those that are."""
-    return [effect for effect in EFFECTS if physics.is_compatible_with(effect) and effect not in physics.effects]
+def unused_effects(physics: Physics, free: FreeFlights) -> list[str]:
+    """The effects on trial that are not in use and are compatible with those that are."""
+    on_trial = EFFECTS if free.choices.effects is None else free.choices.effects
+    return [effect for effect in on_trial if physics.is_compatible_with(effect) and effect not in physics.effects]
 
 
 def _try(trajectory: Trajectory, effect: str, measured: Throw, free: FreeFlights) -> Trial:
@@ -146,9 +147,9 @@ def _try(trajectory: Trajectory, effect: str, measured: Throw, free: FreeFlights
         return _try_motion(trajectory, measured, free)
     wider, residuals, jacobian = linearised_with(trajectory, trajectory.physics.with_effect(effect), k2)
     estimate = _linearised_gain(residuals, jacobian, wider.root)
-    if estimate < _SCREENING_SHARE * _penalty(trajectory, effect):
-        return Trial(effect, None, estimate, _penalty(trajectory, effect), 0.0)
-    return _compared(trajectory, refitted(wider, k2), effect, k2)
+    if estimate < _SCREENING_SHARE * _penalty(trajectory, effect, free):
+        return Trial(effect, None, estimate, _penalty(trajectory, effect, free), 0.0)
+    return _compared(trajectory, refitted(wider, k2), effect, free)
 
 
 def _try_mass_offset(trajectory: Trajectory, free: FreeFlights) -> Trial:
@@ -157,11 +158,11 @@ def _try_mass_offset(trajectory: Trajectory, free: FreeFlights) -> Trial:
     effect, k2 = "loaded die", free.huber_threshold
     offset, gain = _promising_offset(trajectory, free)
     if offset is None:
-        return Trial(effect, None, gain, _penalty(trajectory, effect), 0.0)
+        return Trial(effect, None, gain, _penalty(trajectory, effect, free), 0.0)
     # Also from zero: the initial state that fits without the offset may lie far from the one that fits with it.
     starts = (trajectory.physics.with_values(**offset.values), trajectory.physics.with_effect(effect))
     found = [refitted_with(trajectory, start, k2) for start in starts]
-    return _compared(trajectory, min(found, key=lambda other: other.cost(k2)), effect, k2)
+    return _compared(trajectory, min(found, key=lambda other: other.cost(k2)), effect, free)
 
 
 def _try_motion(trajectory: Trajectory, measured: Throw, free: FreeFlights) -> Trial:
@@ -170,8 +171,8 @@ def _try_motion(trajectory: Trajectory, measured: Throw, free: FreeFlights) -> T
     motions = table_motion_candidates(trajectory.physics.body, free, measured.impacts)
     found = [refitted_with(trajectory, trajectory.physics.with_values(**motion), k2) for motion in motions]
     if not found:
-        return Trial(effect, None, 0.0, _penalty(trajectory, effect), 0.0)
-    return _compared(trajectory, min(found, key=lambda other: other.cost(k2)), effect, k2)
+        return Trial(effect, None, 0.0, _penalty(trajectory, effect, free), 0.0)
+    return _compared(trajectory, min(found, key=lambda other: other.cost(k2)), effect, free)
 
 
 def _try_on_attempt(
@@ -183,7 +184,7 @@ def _try_on_attempt(
     if effect == "loaded die":
         offset, gain = _promising_offset(attempt, free)
         if offset is None:
-            return Trial(effect, None, gain, _penalty(attempt, effect), 0.0)
+            return Trial(effect, None, gain, _penalty(attempt, effect, free), 0.0)
         starts = [physics.with_values(**offset.values)]
     if _is_unknown_motion(effect, physics):
         motions = table_motion_candidates(physics.body, free, measured.impacts)
@@ -198,10 +199,10 @@ def _try_on_attempt(
         if other is not None and well_explained(other, free):
             break
     if not found:
-        return Trial(effect, None, 0.0, _penalty(attempt, effect), 0.0)
+        return Trial(effect, None, 0.0, _penalty(attempt, effect, free), 0.0)
     best = min(found, key=lambda other: other.mean_square)
     fitted = fit_trajectory(attempt.observations, best, best.vertices, k2)
-    return _compared(attempt, friction_alternatives(fitted, free)[0], effect, k2)
+    return _compared(attempt, friction_alternatives(fitted, free)[0], effect, free)
 
 
 def _is_unknown_motion(effect: str, physics: Physics) -> bool:
@@ -216,22 +217,22 @@ def _promising_offset(trajectory: Trajectory, free: FreeFlights) -> tuple[MassOf
     """
     offset = mass_offset_from_flights(free)
     gain = 0.0 if offset is None or offset.consistency < _MIN_CONSISTENCY else offset.gain
-    return (offset if gain >= _SCREENING_SHARE * _penalty(trajectory, "loaded die") else None), gain
+    return (offset if gain >= _SCREENING_SHARE * _penalty(trajectory, "loaded die", free) else None), gain
 
 
-def _compared(trajectory: Trajectory, wider: Trajectory, effect: str, k2: float) -> Trial:
+def _compared(trajectory: Trajectory, wider: Trajectory, effect: str, free: FreeFlights) -> Trial:
     """What an effect gains on the frames that both trajectories are fitted to."""
     variance, tau = wider.inflation
-    scale = variance * tau
+    scale, k2 = variance * tau, free.huber_threshold
     gain = 0.5 * (trajectory.cost(k2) - wider.cost(k2)) / scale
     # nansum: blocks without which either fit is undetermined do not enter the comparison.
     predicted = 0.5 * float(np.nansum(left_out_costs(trajectory, k2) - left_out_costs(wider, k2))) / scale
-    return Trial(effect, wider, gain, _penalty(trajectory, effect), predicted, scale)
+    return Trial(effect, wider, gain, _penalty(trajectory, effect, free), predicted, scale)
 
 
-def _penalty(trajectory: Trajectory, effect: str) -> float:
+def _penalty(trajectory: Trajectory, effect: str, free: FreeFlights) -> float:
     """What an effect must gain on the frames of a trajectory."""
-    count = len(unused_effects(trajectory.physics))
+    count = max(len(unused_effects(trajectory.physics, free)), 1)
     return len(EFFECTS[effect]) * float(0.5 * np.log(trajectory.residuals.size) + np.log(count))
 
 

@@ -1,7 +1,8 @@
 """The landing face: observed at the end of the track, or simulated onward from the fit.
 
 A landing counts as decided only if every throw drawn from the fit ends on the same face: with 100 draws, any other face
-then has odds below 3 % (95 %). Draws continue from the fitted impacts, with the law that explained them.
+then has odds below 3 % (95 %). Draws continue from the fitted impacts, with the law that explained them. `throw_of_fit` makes
+the model's throw again from the numbers of a fit, which is all that a saved one holds.
 """
 
 from __future__ import annotations
@@ -12,11 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die, lowest_face
+from ...model.laws import Table
 from ...model.rotations import matrix_from_quat, rotation_between
-from ...model.throw import State, Throw, Until
+from ...model.throw import State, Throw, Until, propagate
 from ...tracking.covariance import covariance_root
 from ...tracking.flights import perturbed
 from ...tracking.track import Track
+from ..results import Fit
+from .clock_and_scale import as_tracked
 from .physics import COARSE, Physics
 
 Array = NDArray[np.float64]
@@ -88,6 +92,36 @@ def continued(physics: Physics, throw: Throw, end_s: float) -> Throw:
         return throw
     on = physics.throw(last, Until(time_s=until_s)).throw
     return Throw(throw.flights[:-1] + on.flights, throw.impacts + on.impacts)
+
+
+def physics_of_fit(fit: Fit, die: Die, table: Table) -> Physics:
+    """Die, table and law with the values that a fit found."""
+    values = {name: p.value for name, p in fit.parameters.items() if p.value is not None}
+    held = frozenset(name for name, p in fit.parameters.items() if not p.free and name in values)
+    return Physics(die, table, {"chi": 0.5}, held, fit.restitution).with_values(**values)
+
+
+def throw_of_fit(fit: Fit, die: Die, table: Table, until_s: float) -> Throw | None:
+    """The throw through the fitted bounces and on to `until_s` on the track's clock; None for a fit without one.
+
+    `die` and `table` are those that the fit was made with. Poses agree with those of `Fit.throw` to rounding.
+    """
+    if fit.initial is None or fit.fitted_until_s is None:
+        return None
+    physics = physics_of_fit(fit, die, table)
+    throw = propagate(
+        physics.body,
+        fit.initial,
+        physics.law,
+        [fit.fitted_until_s],
+        vertices=fit.vertices,
+        table=physics.plane,
+        parameters=(),
+        drag_per_m=physics.values.get("drag_per_m", 0.0),
+    ).throw
+    if fit.parameters["chi"].value is None:
+        return throw
+    return as_tracked(physics, continued(physics, throw, until_s))
 
 
 def landing_odds(

@@ -23,7 +23,7 @@ from ..free import Bounce, FreeFlights, common_restitution, fit_flights, measure
 from ..results import USUAL_CHOICES, Choices, Effect, Fit, Parameter
 from .bootstrap import bootstrap_intervals
 from .clock_and_scale import as_tracked
-from .effects import Trial, superseded_effect, try_effects, try_effects_on_next_flight
+from .effects import EFFECTS, Trial, superseded_effect, try_effects, try_effects_on_next_flight
 from .extension import at_its_limit, best_attempt, can_go_on, extend_through_bounces, friction_alternatives
 from .landing import continued, landing_odds, resting_face
 from .messages import (
@@ -108,8 +108,11 @@ def fit_throw(
     `track` holds the poses of single frames (not smoothed: their errors must be independent), `measured` the flights
     and impacts found in them. What the data do not determine is None in the result, with a message.
     Without a `table` it is level and at rest. Raises ValueError if the columns of the track have different lengths, and for a
-    table that stands where gravity is another than the track's.
+    table that stands where gravity is another than the track's, and for effects on trial that are none.
     """
+    unknown = [name for name in choices.effects or () if name not in EFFECTS]
+    if unknown:
+        raise ValueError(f"effects: {unknown[0]!r} is none; wanted some of {', '.join(EFFECTS)}")
     physics = Physics(die, table_under(track, table), {"chi": _START_CHI})
     fit = replace(_fit(track, measured, physics, choices), choices=choices)
     rested = resting_face(track, die)
@@ -261,6 +264,8 @@ def _result_with_bounces(
         restitution=best.physics.restitution,
         covariance=covariance,
         variance_shares=shares,
+        vertices=best.vertices,
+        fitted_until_s=best.physics.clock * float(best.observations.time_s.max()),
     )
 
 
@@ -301,6 +306,7 @@ def _first_flight_result(task: _Task, start: Trajectory, messages: Sequence[str]
         face_odds=None,
         messages=tuple(messages),
         throw=start.throw,
+        fitted_until_s=start.physics.clock * float(start.observations.time_s.max()),
     )
 
 

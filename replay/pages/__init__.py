@@ -6,6 +6,7 @@ The report of an analysed throw, the page of a simulated one, of a check, of a c
 
 from ..elements import ReportDetails as ReportDetails
 from .calibration import calibration_page as calibration_page
+from .captioned_figures import report_figures as report_figures
 from .captioned_figures import write_figures as write_figures
 from .check import check_page as check_page
 from .page_parts import STYLE as STYLE

@@ -233,7 +233,11 @@ def test_fit_of_any_track_recovers_the_restitution(throw_plan: Path, tmp_path: P
     assert abs(chi["value"] - 0.5) < 0.01
     with (out / "simulated.csv").open(newline="") as file:
         assert len(list(csv.reader(file))) == len(frame) + 1
-    names = {"vertices.csv", "bounces.csv", "fit.json", "simulated.csv", "replay.rrd", "report.html", "provenance.json"}
+    names = {
+        *("analysis.json", "fit.json", "provenance.json", "replay.rrd", "report.html", "simulated.csv"),
+        *("vertices.csv", "faces.csv", "bounces.csv", "track.csv", "track_covariance.npy"),
+        *("track_frames.csv", "track_frames_covariance.npy", "track_frames_throw.npz"),
+    }
     assert {file.name for file in out.iterdir()} == names
 
 

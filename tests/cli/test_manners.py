@@ -16,7 +16,7 @@ from command_line import CUBE, LAW, RELEASE, invoke, text_file
 from diethrow.cli.app import app
 
 COMMANDS = sorted(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
-WITHOUT_NUMBERS = {"film"}
+WITHOUT_NUMBERS = {"film", "report"}
 """Commands that end with pictures."""
 
 

@@ -16,8 +16,8 @@ from footage_files import write_video
 from footage_of_throws import FPS, film, studio
 from random_throws import random_quaternion
 
-from diethrow.analysis import Analysis
 from diethrow.commands.clip.analyze import analyze
+from diethrow.files.analysis_folder import AnalysedThrow
 from diethrow.files.scene import read_scene
 from diethrow.model.die import Die, die_from_solid, symmetry_rotations
 from diethrow.model.laws import CoulombImpact, SmoothImpact
@@ -86,7 +86,7 @@ def thrown(die: Die, seed: int, mu: float | None) -> Throw:
 
 
 @cache
-def analysed(kind: str) -> tuple[Die, Throw, Analysis]:
+def analysed(kind: str) -> tuple[Die, Throw, AnalysedThrow]:
     folder = Path(mkdtemp())
     scene = written_scene(folder, kind)
     (folder / "clip.mkv").touch()
@@ -108,17 +108,17 @@ def test_a_die_of_any_shape_is_tracked_and_its_throw_fitted(kind: str) -> None:
     angles = [angle_between(track.quaternion, quat_multiply(quaternions, turn)) for turn in turns]
     assert min(float(angle.max()) for angle in angles) < np.radians(0.5)
     assert np.linalg.norm(track.position_m - positions, axis=1).max() < 5e-4
-    chi = found.fit.parameters["chi"]
+    chi = found.result.parameters["chi"]
     assert abs(chi.value - CHI) < 0.01
     assert chi.low < CHI < chi.high
-    assert found.fit.bounces_fitted == len(throw.bounces)
+    assert found.result.bounces_fitted == len(throw.bounces)
     if kind not in FRICTION:
-        assert found.fit.chosen == ("smooth impact",)
+        assert found.result.chosen == ("smooth impact",)
         return
-    mu = found.fit.parameters["mu"]
+    mu = found.result.parameters["mu"]
     assert mu.low < FRICTION[kind] < mu.high
     assert abs(mu.value - FRICTION[kind]) < 0.05
-    assert found.fit.face_odds is None
+    assert found.result.face_odds is None
 
 
 def test_a_die_with_several_moments_does_not_turn_evenly() -> None:

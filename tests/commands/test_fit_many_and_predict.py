@@ -183,6 +183,7 @@ def test_a_frame_that_the_track_does_not_allow_is_refused(throws: Path, fitted: 
     ("options", "expected"),
     [
         (("--misfit-limit", 9), "--misfit-limit = 9.0: wanted a ratio from 1.5 to 4"),
+        (("--effects", "friction,magic"), "--effects friction,magic: 'magic' is no effect; wanted some of friction"),
         (("--usual-friction", "steel"), "--usual-friction = steel: wanted a coefficient of friction, or none"),
     ],
 )
@@ -198,10 +199,10 @@ def test_a_choice_that_a_fit_does_not_have_is_refused_by_the_name_of_its_option(
 
 def test_choices_of_a_fit_are_in_its_file_and_in_the_command_that_repeats_it(throws: Path, tmp_path: Path) -> None:
     where = ("--scene", throws / "scene.toml", "--out", tmp_path / "out")
-    options = ("--misfit-limit", 3.0, "--usual-friction", "none", "--intervals", "covariance")
+    options = ("--misfit-limit", 3.0, "--usual-friction", "none", "--intervals", "covariance", "--effects", "friction")
     status, _, notes = invoke("fit", throws / "throw_0.csv", *where, *options)
     assert status == 0, notes
-    chosen = {"intervals": "covariance", "misfit_limit": 3.0, "usual_friction": None}
+    chosen = {"intervals": "covariance", "misfit_limit": 3.0, "usual_friction": None, "effects": ["friction"]}
     assert json.loads((tmp_path / "out" / "fit.json").read_text())["choices"] == chosen
     repeated = json.loads((tmp_path / "out" / "provenance.json").read_text())["command"]
     assert {str(word) for word in options} <= set(repeated)

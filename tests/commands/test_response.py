@@ -15,11 +15,11 @@ from footage_files import write_tiff
 from footage_of_throws import DICE, FPS, falling_cube, film, studio
 from numpy.typing import NDArray
 
-from diethrow.analysis import Tracking
 from diethrow.commands.clip.check import check_clip
 from diethrow.commands.clip.footage import open_footage
 from diethrow.commands.clip.track import track_only, track_scene
 from diethrow.files.scene import Scene, read_scene
+from diethrow.runs import Tracking
 from diethrow.tracking.footage import Clip, Decimation, clip_in_light
 from diethrow.tracking.quality import FAST
 

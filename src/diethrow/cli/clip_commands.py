@@ -15,6 +15,7 @@ from .options import (
     AsJson,
     ChiWithin,
     DieAndTable,
+    EffectsOnTrial,
     EmbedReplay,
     Every,
     Figures,
@@ -152,6 +153,7 @@ def fit(
     intervals: Intervals = "profile",
     misfit_limit: MisfitLimit = None,
     usual_friction: UsualFriction = None,
+    effects: EffectsOnTrial = None,
     threads: Threads = None,
     scheduler: Scheduler = None,
     as_json: AsJson = False,
@@ -161,11 +163,12 @@ def fit(
     with one_sentence_errors():
         checked = checked_scene(scene, allow_outside=True)  # no footage is opened
         with checked_options():
-            choices = choices_of(intervals, misfit_limit, usual_friction)
+            choices = choices_of(intervals, misfit_limit, usual_friction, effects)
         own = (
             *given_option("--intervals", intervals, "profile"),
             *given_option("--misfit-limit", misfit_limit, None),
             *given_option("--usual-friction", usual_friction, None),
+            *given_option("--effects", effects, None),
         )
         if len(tracks) > 1:
             if own:

@@ -79,6 +79,14 @@ UsualFriction = Annotated[
         "least cost. [default: 0.3]",
     ),
 ]
+EffectsOnTrial = Annotated[
+    str | None,
+    typer.Option(
+        "--effects",
+        metavar="NAMES|none",
+        help='Only these effects are tried, with commas between them: "friction,rounded corners". [default: all]',
+    ),
+]
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing output once the new one is complete.")]
 EmbedReplay = Annotated[
     bool,
@@ -193,14 +201,26 @@ def as_typed() -> tuple[str, ...]:
     return ("diethrow", *sys.argv[1:])
 
 
-def choices_of(intervals: IntervalMethod, misfit_limit: float | None, usual_friction: str | None) -> Choices:
+def choices_of(
+    intervals: IntervalMethod, misfit_limit: float | None, usual_friction: str | None, effects: str | None
+) -> Choices:
     """What a fit assumes, from the options of the command line. Raises ValueError that names the option."""
     from ..fitting.results import USUAL_CHOICES, Choices
+    from ..fitting.throw import EFFECTS
+
+    on_trial = (
+        None if effects is None else tuple(n.strip() for n in effects.split(",") if n.strip() not in ("", "none"))
+    )
+    for name in on_trial or ():
+        if name not in EFFECTS:
+            raise ValueError(
+                f"--effects {effects}: {name!r} is no effect; wanted some of {', '.join(EFFECTS)}, or none"
+            )
 
     limit = USUAL_CHOICES.misfit_limit if misfit_limit is None else misfit_limit
     try:
         usual = USUAL_CHOICES.usual_friction if usual_friction is None else _number_or_none(usual_friction)
-        return Choices(intervals, limit, usual)
+        return Choices(intervals, limit, usual, on_trial)
     except ValueError as error:
         text = str(error)
         for name in ("misfit_limit", "usual_friction"):

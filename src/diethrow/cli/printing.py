@@ -13,7 +13,6 @@ import typer
 from .logs import LOGGER
 
 if TYPE_CHECKING:
-    from ..analysis import Analysis, Tracking
     from ..commands.clip.batch import Batch
     from ..commands.clip.calibrate import CameraFound
     from ..commands.clip.check import Check
@@ -21,9 +20,11 @@ if TYPE_CHECKING:
     from ..commands.clip.run_options import RunOptions
     from ..commands.model.filmed_throw import FilmJob
     from ..commands.results.joined_recordings import ThrowRecording
+    from ..files.analysis_folder import AnalysedThrow
     from ..fitting.results import Parameter
     from ..model.throw import ThrowResult
     from ..replay.pages import Trade
+    from ..runs import Tracking
 
 
 def print_json(record: Path | Mapping[str, Any]) -> None:
@@ -40,31 +41,35 @@ def _json_of(path: Path) -> Any:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
-def print_analysis(result: Analysis, as_json: bool = False) -> None:
+def print_analysis(analysis: AnalysedThrow, as_json: bool = False) -> None:
     """The result of an analysis."""
+    assert analysis.folder is not None
     if as_json:
         print_json(
             {
-                "folder": str(result.folder),
-                "frames": len(result.track),
-                "frames_tracked": int(result.track.tracked.sum()),
-                "bounces": len(result.measured.impacts),
-                "fit": _json_of(result.folder / "fit.json"),
-                "notices": result.notices,
+                "folder": str(analysis.folder),
+                "frames": len(analysis.track),
+                "frames_tracked": int(analysis.track.tracked.sum()),
+                "bounces": len(analysis.throw.impacts),
+                "fit": _json_of(analysis.folder / "fit.json"),
+                "notices": analysis.notices,
             }
         )
         return
-    rms = result.fit.residual_rms
+    rms = analysis.result.residual_rms
     rows = [
-        ("frames tracked", f"{int(result.track.tracked.sum())} of {len(result.track)}"),
-        ("bounces", f"{len(result.measured.impacts)}, of which the model explains {result.fit.bounces_fitted}"),
-        ("restitution χ", _restitution(result.fit.parameters["chi"])),
+        ("frames tracked", f"{int(analysis.track.tracked.sum())} of {len(analysis.track)}"),
+        (
+            "bounces",
+            f"{len(analysis.throw.impacts)}, of which the model explains {analysis.result.bounces_fitted}",
+        ),
+        ("restitution χ", _restitution(analysis.result.parameters["chi"])),
         *([] if rms is None else [("residuals", f"{rms:.2f} sigma")]),
-        ("report", str(result.folder / "report.html")),
-        ("open it", f"diethrow replay {result.folder} --open"),
+        ("report", str(analysis.folder / "report.html")),
+        ("open it", f"diethrow replay {analysis.folder} --open"),
     ]
     _print_table(rows)
-    print_notices((*result.notices, *result.fit.messages))
+    print_notices((*analysis.notices, *analysis.result.messages))
 
 
 def print_tracking(result: Tracking, out: Path, as_json: bool = False) -> None:

@@ -1,4 +1,4 @@
-"""Commands that work on folders of results: replay, rerun."""
+"""Commands that work on folders of results: replay, report, rerun."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import typer
 
 from .app import app
 from .errors import FAILED, one_sentence_errors
-from .options import AsJson, output_words
+from .options import AsJson, EmbedReplay, output_words
 from .printing import print_json, print_throws
 
 
@@ -76,6 +76,29 @@ def replay(
             from ..commands.results.viewer import open_viewer
 
             open_viewer(shown)
+
+
+@app.command(
+    epilog="Examples:  diethrow report out/cube_wood\n\ndiethrow report out/cube_wood --out throw_7.html --embed-replay"
+)
+def report(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder made by analyze or fit.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE.html", help="The page. [default: DIR/report.html, replaced]")
+    ] = None,
+    embed_replay: EmbedReplay = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace FILE.html if it exists.")] = False,
+) -> None:
+    """Draw the report again from a folder of results, without tracking."""
+    with one_sentence_errors():
+        from ..files.outputs import whole_file
+        from ..interface import load
+
+        analysis = load(folder)
+        page = folder / "report.html" if out is None else out
+        with whole_file(page, force=force or out is None) as file:
+            analysis.report(file, embed_replay=embed_replay)
+        typer.echo(f"the report of {analysis.record.title} is {page}")
 
 
 @app.command(epilog="Example:  diethrow rerun out/cube_wood")

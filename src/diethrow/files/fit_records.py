@@ -14,7 +14,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..fitting.results import USUAL_CHOICES, Choices, Effect, Fit, Misfit, Parameter, ParameterCovariance
+from ..fitting.results import (
+    STATE_NAMES,
+    USUAL_CHOICES,
+    Choices,
+    Effect,
+    Fit,
+    Misfit,
+    Parameter,
+    ParameterCovariance,
+)
 from ..model.laws import CoulombImpact, FrictionBySpeed, Restitution, RestitutionBySpeed, SmoothImpact
 from ..model.rotations import euler_from_quat, matrix_from_quat
 from ..model.throw import State
@@ -46,6 +55,8 @@ def fit_tables(fit: Fit) -> dict[str, Any]:
             "chosen": list(fit.chosen),
             "considered": effects_table(fit.considered),
         },
+        **({} if fit.covariance is None else {"covariance": _covariance_table(fit.covariance_names, fit.covariance)}),
+        "model": {"vertices": list(fit.vertices), "fitted_until_s": fit.fitted_until_s},
         "choices": asdict(fit.choices),
         "bounces_fitted": fit.bounces_fitted,
         "residual_rms": fit.residual_rms,
@@ -129,10 +140,14 @@ def read_parameters(path: Path) -> tuple[dict[str, Parameter], Restitution]:
     return parameters, kind
 
 
+def _covariance_table(names: Sequence[str], matrix: Array) -> dict[str, Any]:
+    return {"names": list(names), "matrix": matrix}
+
+
 def errors_tables(covariance: ParameterCovariance, misfit: Misfit) -> dict[str, Any]:
     """The errors of a joint fit in the form of its JSON."""
     return {
-        "covariance": {"names": list(covariance.names), "matrix": covariance.matrix},
+        "covariance": _covariance_table(covariance.names, covariance.matrix),
         "misfit": {
             "t_s": misfit.time_s,
             "position_m": misfit.position_m,
@@ -142,7 +157,7 @@ def errors_tables(covariance: ParameterCovariance, misfit: Misfit) -> dict[str, 
 
 
 def read_errors(path: Path) -> tuple[ParameterCovariance | None, Misfit | None]:
-    """The covariance of the parameters and the misfit of the law in the `fit.json` of many throws; None in that of one.
+    """The covariance of the parameters in a `fit.json`, and the misfit of the law in that of many throws; None where it has none.
 
     Raises ValueError, with the file, for tables that do not belong together."""
     data = read_json(path)
@@ -150,9 +165,11 @@ def read_errors(path: Path) -> tuple[ParameterCovariance | None, Misfit | None]:
         covariance, misfit = data.get("covariance"), data.get("misfit")
         found = None
         if covariance is not None:
-            found = ParameterCovariance(tuple(covariance["names"]), np.array(covariance["matrix"], float))
-            if found.matrix.shape != (len(found.names),) * 2 or not np.isfinite(found.matrix).all():
-                raise ValueError(f"covariance of shape {found.matrix.shape} for {len(found.names)} names")
+            names, matrix = covariance["names"], np.array(covariance["matrix"], float)
+            if matrix.shape != (len(names),) * 2 or not np.isfinite(matrix).all():
+                raise ValueError(f"covariance of shape {matrix.shape} for {len(names)} names")
+            rows = [k for k, name in enumerate(names) if name not in STATE_NAMES]
+            found = ParameterCovariance(tuple(names[k] for k in rows), matrix[np.ix_(rows, rows)])
         if misfit is None:
             return found, None
         columns = [np.array(misfit[name], float) for name in ("t_s", "position_m", "rotation_rad")]
@@ -182,10 +199,18 @@ def read_fit(path: Path) -> Fit:
             throw=None,
             restitution=data["law"]["restitution"] if data["law"]["friction"] != "none" else "stronge",
             variance_shares=data.get("variance_shares", {}),
-            choices=Choices(**data["choices"]) if "choices" in data else USUAL_CHOICES,
+            choices=_choices(data["choices"]) if "choices" in data else USUAL_CHOICES,
+            covariance=_matrix(data.get("covariance", {}).get("matrix")),
+            vertices=tuple(data.get("model", {}).get("vertices", ())),
+            fitted_until_s=data.get("model", {}).get("fitted_until_s"),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ValueError(f"{path}: not a fit ({error!r}); {NOT_A_FIT}") from error
+
+
+def _choices(table: Mapping[str, Any]) -> Choices:
+    effects = table.get("effects")
+    return Choices(**{**table, "effects": None if effects is None else tuple(effects)})
 
 
 def _state(table: Mapping[str, Any]) -> State:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,7 @@ from .settings import (
     Vector5,
     read_toml,
     refuse,
+    tables_of,
     unit_guess,
     validate,
 )
@@ -205,10 +206,21 @@ def read_scene(path: Path, *, allow_outside: bool = False) -> Scene:
     """
     path = Path(path)
     data, text = read_toml(path)
+    return _scene(data, text, FilesBeside(path, allow_outside))
+
+
+def recorded_scene(text: str, path: Path) -> Scene:
+    """The scene that a result was made from, by the text in its provenance; clip and pictures may be gone since.
+
+    Raises SceneError as `read_scene`, also for a mesh or a calibration that is gone."""
+    return _scene(tables_of(text, path), text, FilesBeside(path, allow_outside=True, may_be_gone=True))
+
+
+def _scene(data: dict[str, Any], text: str, files: FilesBeside) -> Scene:
+    path = files.settings_path
     if isinstance(data.get("camera"), dict):
         data["camera"] = [data["camera"]]
     checked = validate(_SceneFile, data, path)
-    files = FilesBeside(path, allow_outside)
     clip = _clip(checked.clip, path, files)
     several = len(checked.camera) > 1
     views = tuple(

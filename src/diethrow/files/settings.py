@@ -89,8 +89,13 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
         raise SceneError(f"{path}: byte {error.start} is not UTF-8; wanted a TOML file in UTF-8") from error
     except OSError as error:
         raise SceneError(f"{path}: cannot be read ({error.strerror}); wanted a TOML file") from error
+    return tables_of(text, path), text
+
+
+def tables_of(text: str, path: Path) -> dict[str, Any]:
+    """The tables of a TOML text, which was read from a file. Raises SceneError where it is not TOML."""
     try:
-        return tomllib.loads(text), text
+        return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # besides TOMLDecodeError: numbers too long, tables too deep
         raise SceneError(f"{path}: not valid TOML, {_lower_first(str(error))}") from error
 
@@ -221,6 +226,8 @@ class FilesBeside:
 
     settings_path: Path
     allow_outside: bool
+    may_be_gone: bool = False
+    """Whether files are named that need not be there any more."""
 
     def existing(self, text: str | None, key: str, wanted: str) -> Path | None:
         """The file that `text` names, relative to it; a pattern such as `frames/*.png` must match something."""
@@ -236,7 +243,7 @@ class FilesBeside:
             there = found.exists()
         except OSError as error:
             raise refuse(self.settings_path, key, text, f"{error.strerror}; wanted {wanted}") from error
-        if there:
+        if there or self.may_be_gone:
             return found
         if any(letter in found.name for letter in "*?[") and any(found.parent.glob(found.name)):
             return found

@@ -228,7 +228,12 @@ def _covariance_in(path: Path, count: int) -> Array:
 
 def write_bounces(path: Path, impacts: Sequence[Impact]) -> None:
     """`bounces.csv`: one impact a row, numbered from 1."""
-    write_table(path, BOUNCE_COLUMNS, (_bounce_row(k + 1, impact) for k, impact in enumerate(impacts)))
+    write_table(path, BOUNCE_COLUMNS, bounce_rows(impacts))
+
+
+def bounce_rows(impacts: Sequence[Impact]) -> list[tuple[Any, ...]]:
+    """The rows of `bounces.csv`."""
+    return [_bounce_row(k + 1, impact) for k, impact in enumerate(impacts)]
 
 
 def read_bounces(path: Path) -> tuple[Impact, ...]:

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from ...analysis import PLAIN, Analysis, Progress, Shown, Tracking, rate_hz, silent
 from ...executors import one_thread
+from ...files.analysis_folder import AnalysedThrow, write_values
 from ...files.csv_and_json import read_json
 from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, unchanged_inputs
@@ -18,12 +18,13 @@ from ...files.scene import Scene
 from ...fitting.results import Choices, IntervalMethod
 from ...replay.elements import Record
 from ...replay.pages import ReportDetails
+from ...runs import PLAIN, Progress, Shown, Tracking, rate_hz, silent
 from ...tracking.check import Finding, contact_heights, fall_of_correlated_frames, frame_timing, judge_throw
 from ...tracking.footage import WHOLE_CLIP, Decimation
 from ...tracking.quality import STANDARD, Quality
 from ...tracking.timing import Timing
-from .fit import estimate_sequentially, record_replay, run_fit, write_model, write_pages
-from .track import check_scene, input_paths, same_command, track_scene, write_origin, write_tracking
+from .fit import estimate_sequentially, model_track, record_replay, run_fit, write_pages
+from .track import check_scene, input_paths, origin_table, same_command, track_scene, write_origin
 
 
 def analyze(
@@ -38,7 +39,7 @@ def analyze(
     timing: Timing = "corrected",
     progress: Progress = silent,
     command: tuple[str, ...] = (),
-) -> Analysis:
+) -> AnalysedThrow:
     """Everything from clip to replay, written to the folder `out`.
 
     `decimation` leaves out frames, or makes the pictures smaller; `intervals` says where those of the parameters come
@@ -50,32 +51,63 @@ def analyze(
     watch = Stopwatch()
     check_scene(scene)
     paths = input_paths(scene)
+    command = command or same_command("analyze", scene, out, quality, decimation, intervals, timing)
     with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, unchanged_inputs(paths) as inputs:
-        tracking = track_scene(scene, progress, watch, quality, decimation=decimation, timing=timing)
-        fit = run_fit(tracking.unbiased, tracking.measured, tracking.die, progress, watch, Choices(intervals))
-        fit = replace(fit, messages=(*fit.messages, *scene.assumptions))
-        notices = tracking.notices
-        write_tracking(folder, scene, tracking)
-        simulated = write_model(folder, fit, tracking.frames)
-        record = Record(
-            title=scene.path.resolve().parent.name,
-            die=tracking.die,
-            track=tracking.smoothed,
-            measured=tracking.measured,
-            fps=rate_hz(tracking.frames),
-            clip=tracking.clips[0],
-            camera=tracking.cameras[0],
-            fit=fit,
-            simulated=simulated if fit.throw else None,
-            estimates=estimate_sequentially(tracking.unbiased, tracking.measured, tracking.die, fit, progress, watch),
-            notices=notices,
-        )
-        record_replay(folder, record, progress, watch)
-        command = command or same_command("analyze", scene, out, quality, decimation, intervals, timing)
-        write_origin(folder, scene, command, inputs, watch, tracking)
-        details = ReportDetails(tracking.unbiased, _findings(scene, tracking), read_json(folder / "provenance.json"))
-        write_pages(folder, record, details, shown, progress, watch)
-    return Analysis(Path(out), tracking.smoothed, tracking.measured, fit, notices, watch.seconds)
+        found, origin = _analysed(scene, quality, decimation, intervals, timing, progress, watch)
+        write_values(folder, found)
+        record_replay(folder, found.record, progress, watch)
+        write_origin(folder, scene, command, inputs, watch, origin)
+        details = replace(found.details, origin=read_json(folder / "provenance.json"))
+        write_pages(folder, found.record, details, shown, progress, watch)
+    return replace(found, details=details, folder=Path(out), seconds=watch.seconds)
+
+
+def analysed(
+    scene: Scene,
+    *,
+    quality: Quality = STANDARD,
+    decimation: Decimation = WHOLE_CLIP,
+    intervals: IntervalMethod = "profile",
+    timing: Timing = "corrected",
+    progress: Progress = silent,
+) -> AnalysedThrow:
+    """Everything from clip to fit, written nowhere. Raises as `analyze`."""
+    watch = Stopwatch()
+    check_scene(scene)
+    with one_thread(), unchanged_inputs(input_paths(scene)) as inputs:
+        found, tracking = _analysed(scene, quality, decimation, intervals, timing, progress, watch)
+        origin = origin_table(scene, (), inputs, watch, tracking)
+    return replace(found, details=replace(found.details, origin=origin), seconds=watch.seconds)
+
+
+def _analysed(
+    scene: Scene,
+    quality: Quality,
+    decimation: Decimation,
+    intervals: IntervalMethod,
+    timing: Timing,
+    progress: Progress,
+    watch: Stopwatch,
+) -> tuple[AnalysedThrow, Tracking]:
+    """The analysis, without its origin, and what it was tracked from."""
+    tracking = track_scene(scene, progress, watch, quality, decimation=decimation, timing=timing)
+    fit = run_fit(tracking.unbiased, tracking.measured, tracking.die, progress, watch, Choices(intervals))
+    fit = replace(fit, messages=(*fit.messages, *scene.assumptions))
+    record = Record(
+        title=scene.path.resolve().parent.name,
+        die=tracking.die,
+        track=tracking.smoothed,
+        measured=tracking.measured,
+        fps=rate_hz(tracking.frames),
+        clip=tracking.clips[0],
+        camera=tracking.cameras[0],
+        fit=fit,
+        simulated=model_track(fit, tracking.frames) if fit.throw else None,
+        estimates=estimate_sequentially(tracking.unbiased, tracking.measured, tracking.die, fit, progress, watch),
+        notices=tracking.notices,
+    )
+    details = ReportDetails(tracking.unbiased, _findings(scene, tracking))
+    return AnalysedThrow(record, details, scene, tracking.faces.numbers, decimation), tracking
 
 
 def _findings(scene: Scene, tracking: Tracking) -> tuple[Finding, ...]:

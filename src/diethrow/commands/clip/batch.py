@@ -229,7 +229,7 @@ class _Origin:
 
 def work(task: Task) -> Failure | None:
     """Analyse one clip in a worker; a failure is returned as a value, so that the batch continues."""
-    from ...analysis import RunError
+    from ...runs import RunError
     from .analyze import analyze
     from .track import track_only
 

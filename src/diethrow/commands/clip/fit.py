@@ -7,24 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from ...analysis import PLAIN, Analysis, Progress, Shown, rate_hz, silent
 from ...executors import one_thread
+from ...files.analysis_folder import AnalysedThrow, write_values
 from ...files.csv_and_json import read_json
-from ...files.fit_records import write_fit
 from ...files.measured_throw import read_measured_throw, throw_path
 from ...files.outputs import MIN_FREE_BYTES, check_free_space, whole_folder
 from ...files.provenance import Stopwatch, add_timings, unchanged_inputs
 from ...files.scene import Scene
-from ...files.throw_records import (
-    covariance_path,
-    read_track,
-    simulated_track,
-    write_bounces,
-    write_simulated,
-    write_vertices,
-)
+from ...files.throw_records import covariance_path, read_track, simulated_track
 from ...fitting.predict import Estimate, sequential_estimates
-from ...fitting.results import USUAL_CHOICES, Choices, Fit
+from ...fitting.results import USUAL_CHOICES, Choices, Fit, IntervalMethod
 from ...fitting.throw import fit_throw
 from ...model.die import Die
 from ...model.laws import Table as ModelTable
@@ -32,6 +24,8 @@ from ...model.throw import Throw, turning_of
 from ...replay.elements import Record
 from ...replay.pages import ReportDetails, write_figures, write_report
 from ...replay.recording import write_recording
+from ...runs import PLAIN, Progress, Shown, rate_hz, silent
+from ...tracking.footage import WHOLE_CLIP
 from ...tracking.throw import frames_in_flight, smooth
 from ...tracking.track import ABSENT, Track
 from .track import FoundThrow, find_impacts, if_there, smoothed_notices, write_origin
@@ -46,7 +40,7 @@ def fit_track(
     choices: Choices = USUAL_CHOICES,
     progress: Progress = silent,
     command: tuple[str, ...] = (),
-) -> Analysis:
+) -> AnalysedThrow:
     """The fitting stage alone, on a track from anywhere; the scene gives the die and the table. With what tracking wrote beside
     the track (`files.measured_throw`) the result is that of `analyze`. Raises as `analyze`."""
     watch = Stopwatch()
@@ -61,6 +55,7 @@ def fit_track(
     with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, unchanged_inputs(paths) as inputs:
         tracked = read_measured_throw(track_path, frames, scene.die, scene.rounding)
         die = scene.given_die() if tracked is None else tracked.die
+        numbers = (None,) * len(die.solid.faces) if tracked is None else tracked.face_numbers
         if tracked is None:
             found = find_impacts(frames, track_path, die, None, progress, watch)
         else:
@@ -69,9 +64,6 @@ def fit_track(
         fit = run_fit(frames, measured, die, progress, watch, choices, table)
         if tracked is not None:
             fit = replace(fit, messages=(*fit.messages, *scene.assumptions))
-        write_vertices(folder / "vertices.csv", die.solid)
-        write_bounces(folder / "bounces.csv", measured.impacts)
-        simulated = write_model(folder, fit, frames)
         record = Record(
             title=track_path.stem,
             die=die,
@@ -79,15 +71,17 @@ def fit_track(
             measured=measured,
             fps=rate_hz(frames),
             fit=fit,
-            simulated=simulated if fit.throw else None,
+            simulated=model_track(fit, frames) if fit.throw else None,
             estimates=estimate_sequentially(frames, measured, die, fit, progress, watch, table),
             notices=notices,
         )
+        analysis = AnalysedThrow(record, ReportDetails(frames), scene, numbers, WHOLE_CLIP, Path(out), watch.seconds)
+        write_values(folder, analysis)
         record_replay(folder, record, progress, watch)
         write_origin(folder, scene, command, inputs, watch)
         account = ReportDetails(frames=frames, origin=read_json(folder / "provenance.json"))
         write_pages(folder, record, account, PLAIN, progress, watch)
-    return Analysis(Path(out), found.smoothed, measured, fit, notices, watch.seconds)
+    return replace(analysis, details=account)
 
 
 def run_fit(
@@ -120,17 +114,28 @@ def estimate_sequentially(
         return sequential_estimates(frames_in_flight(frames, measured), measured, die, fit, table)
 
 
-def write_model(folder: Path, fit: Fit, frames: Track) -> Track:
-    """Write fit.json and simulated.csv; without a fitted throw the latter has its rows and no numbers."""
-    write_fit(folder / "fit.json", fit)
+def model_track(fit: Fit, frames: Track) -> Track:
+    """The model's poses on the frames of a track; without a fitted throw it has the rows and no numbers."""
     if fit.throw is not None:
-        simulated = simulated_track(fit.throw, frames.frame, frames.time_s)
-    else:
-        n = len(frames)
-        nothing = np.full((n, 3), np.nan), np.full((n, 4), np.nan), np.full((n, 6, 6), np.nan)
-        simulated = Track(frames.frame, frames.time_s, *nothing, np.full(n, ABSENT))
-    write_simulated(folder / "simulated.csv", simulated)
-    return simulated
+        return simulated_track(fit.throw, frames.frame, frames.time_s)
+    n = len(frames)
+    nothing = np.full((n, 3), np.nan), np.full((n, 4), np.nan), np.full((n, 6, 6), np.nan)
+    return Track(frames.frame, frames.time_s, *nothing, np.full(n, ABSENT))
+
+
+def refitted(analysis: AnalysedThrow, effects: tuple[str, ...] | None, intervals: IntervalMethod) -> AnalysedThrow:
+    """An analysis with another fit of the same measured throw. Raises ValueError for a name that is no effect."""
+    record, frames, watch = analysis.record, analysis.details.frames, Stopwatch()
+    assert frames is not None
+    table = analysis.scene.table.in_model
+    choices = Choices(intervals, effects=effects)
+    with one_thread():
+        fit = run_fit(frames, record.measured, record.die, silent, watch, choices, table)
+        fit = replace(fit, messages=(*fit.messages, *analysis.scene.assumptions))
+        estimates = estimate_sequentially(frames, record.measured, record.die, fit, silent, watch, table)
+    simulated = model_track(fit, record.track) if fit.throw else None
+    record = replace(record, fit=fit, simulated=simulated, estimates=estimates)
+    return replace(analysis, record=record, folder=None, seconds=watch.seconds)
 
 
 def record_replay(folder: Path, record: Record, progress: Progress, watch: Stopwatch) -> None:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ...analysis import Progress, RunError, silent
 from ...files.csv_and_json import write_json
 from ...files.fit_records import effects_table, errors_tables, law_table, parameters_table
 from ...files.outputs import whole_folder
@@ -22,6 +21,7 @@ from ...files.throw_records import covariance_path, read_track, write_vertices
 from ...fitting.dataset import Entry, JointFit, PredictedThrow, entry_of, fit_jointly
 from ...model.die import Die
 from ...model.throw import turning_of
+from ...runs import Progress, RunError, silent
 
 
 @dataclass(frozen=True, eq=False)

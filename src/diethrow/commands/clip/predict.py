@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ...analysis import Progress, RunError, silent
+from ...files.analysis_folder import AnalysedThrow
 from ...files.csv_and_json import write_json
 from ...files.fit_records import read_errors, read_parameters, state_table
 from ...files.measured_throw import read_measured_throw, throw_path
@@ -32,12 +32,13 @@ from ...fitting.predict import (
     release_before,
     with_covariances,
 )
-from ...fitting.results import Misfit, Parameter, ParameterCovariance
-from ...fitting.throw import Physics
+from ...fitting.results import STATE_NAMES, Misfit, Parameter, ParameterCovariance
+from ...fitting.throw import Physics, physics_of_fit
 from ...model.die import Die
 from ...model.laws import Restitution, Table
 from ...model.rotations import angle_between, continuous_sign
 from ...model.throw import turning_of
+from ...runs import Progress, RunError, silent
 from ...tracking.track import Track
 
 FIRST_BOUNCE = "first-bounce"
@@ -175,6 +176,25 @@ def predict(path: Path, scene: Scene, law: Law, from_frame: str, draws: int) -> 
         float(np.linalg.norm(off, axis=1).mean()) if compared.any() else float("nan"),
         float(turned_rad.mean()) if compared.any() else float("nan"),
         decision,
+    )
+
+
+def predicted_track(analysis: AnalysedThrow, from_frame: int | None) -> Track:
+    """The poses that the fit of an analysis predicts from the frames before `from_frame`, or before the first bounce, with
+    covariances. Raises ValueError where these determine no state."""
+    fit, die, frames = analysis.result, analysis.record.die, analysis.details.frames
+    assert frames is not None
+    if fit.parameters["chi"].value is None:
+        raise ValueError("chi was not determined; wanted a fit through one bounce or more")
+    physics = physics_of_fit(fit, die, analysis.scene.table.in_model)
+    row = first_bounce_row(frames, die) if from_frame is None else _row_of(frames, from_frame)
+    release = release_before(frames, physics.body, row)
+    covariance = None
+    if fit.covariance is not None:
+        names = fit.covariance_names[len(STATE_NAMES) :]
+        covariance = ParameterCovariance(names, fit.covariance[len(STATE_NAMES) :, len(STATE_NAMES) :])
+    return with_covariances(
+        predict_track(physics, frames, release), physics, release, dict(fit.parameters), covariance, None
     )
 
 

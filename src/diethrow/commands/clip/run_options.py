@@ -39,8 +39,8 @@ class RunOptions:
 
     def arguments(self, stage: Stage) -> dict[str, Any]:
         """The same as arguments of `analyze` or of `track_only`. Raises ValueError for a value that is none."""
-        from ...analysis import Shown
         from ...fitting.results import INTERVAL_METHODS
+        from ...runs import Shown
         from ...tracking.footage import Decimation
         from ...tracking.quality import QUALITIES
         from ...tracking.timing import TIMINGS

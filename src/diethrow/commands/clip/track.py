@@ -5,21 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...analysis import Progress, RunError, Tracking, silent
 from ...executors import one_thread
+from ...files.csv_and_json import write_json
 from ...files.measured_throw import TrackedThrow, write_measured_throw
 from ...files.outputs import whole_folder
-from ...files.provenance import Inputs, Stopwatch, unchanged_inputs, write_provenance
+from ...files.provenance import Inputs, Stopwatch, provenance_table, unchanged_inputs
 from ...files.scene import Scene
 from ...files.settings import SceneError, refuse
 from ...files.throw_records import write_bounces, write_faces, write_track, write_vertices
 from ...fitting.results import IntervalMethod
 from ...model.die import Die
 from ...model.throw import Throw
+from ...runs import Progress, RunError, Tracking, silent
 from ...tracking.camera import Camera
 from ...tracking.check import doubtful_frame_notices, find_second_die
 from ...tracking.footage import (
@@ -301,7 +303,15 @@ def write_origin(
     watch: Stopwatch,
     tracking: Tracking | None = None,
 ) -> None:
-    """`provenance.json`, with what was estimated because the scene does not give it, and every fault of the frame times."""
+    """Write `provenance.json`."""
+    write_json(folder / "provenance.json", origin_table(scene, command, inputs, watch, tracking))
+
+
+def origin_table(
+    scene: Scene, command: tuple[str, ...], inputs: Inputs, watch: Stopwatch, tracking: Tracking | None = None
+) -> dict[str, Any]:
+    """The contents of `provenance.json`, with what was estimated because the scene does not give it, and every fault of the frame
+    times."""
     found: dict[str, object] = {}
     if tracking is not None and tracking.corners is not None:
         found |= {"corner_radius_m": tracking.corners.radius_m, "sigma_corner_radius_m": tracking.corners.sigma_m}
@@ -312,7 +322,7 @@ def write_origin(
     if tracking is not None and tracking.times.faults:
         found |= {"times_corrected": tracking.times.corrected}
         found |= {"frame_time_faults": [fault.record for fault in tracking.times.faults]}
-    write_provenance(folder, command=command, understood=scene, inputs=inputs, seconds=watch.seconds, found=found)
+    return provenance_table(command=command, understood=scene, inputs=inputs, seconds=watch.seconds, found=found)
 
 
 def if_there(path: Path) -> tuple[Path, ...]:

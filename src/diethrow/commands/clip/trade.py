@@ -33,7 +33,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...analysis import Progress, RunError, Tracking, silent
 from ...executors import one_thread
 from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, unchanged_inputs, write_provenance
@@ -48,6 +47,7 @@ from ...model.laws import SmoothImpact
 from ...model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply
 from ...model.throw import Precision, State, Throw
 from ...replay.pages import Setting, Trade, fastest_within, trade_page, write_trade_figures
+from ...runs import Progress, RunError, Tracking, silent
 from ...tracking.flights import perturbed
 from ...tracking.footage import WHOLE_CLIP, Decimation
 from ...tracking.quality import QUALITIES, STANDARD, Quality

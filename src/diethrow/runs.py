@@ -1,14 +1,12 @@
-"""Values of an analysis: what tracking and fitting found, and what a run reports on the way."""
+"""Values of a run: what tracking found, what is written, and what is reported on the way."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from .fitting.results import Fit
 from .model.die import Die
 from .model.throw import Throw
 from .tracking.camera import Camera
@@ -96,20 +94,6 @@ class Tracking:
             *self.doubts,
             *fall_notices(measure_fall(self.frames, self.measured)),
         )
-
-
-@dataclass(frozen=True, eq=False)
-class Analysis:
-    """A whole analysis, as it was written to `folder`."""
-
-    folder: Path
-    track: Track
-    measured: Throw
-    fit: Fit
-    notices: tuple[str, ...]
-    """Reservations about the footage, one sentence each."""
-    seconds: dict[str, float]
-    """Time of each stage [s]."""
 
 
 def silent(stage: str, done: int, total: int) -> None:
