@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..model.errors import InputError
 from ..model.laws import Restitution
 from ..model.throw import State, Throw
 
@@ -105,9 +106,9 @@ class Choices:
     def __post_init__(self) -> None:
         low, high = MISFIT_LIMITS
         if not low <= self.misfit_limit <= high:
-            raise ValueError(f"misfit_limit = {self.misfit_limit}: wanted a ratio from {low:g} to {high:g}")
+            raise InputError(f"misfit_limit = {self.misfit_limit}: wanted a ratio from {low:g} to {high:g}")
         if self.usual_friction is not None and not 0.0 < self.usual_friction <= MOST_FRICTION:
-            raise ValueError(
+            raise InputError(
                 f"usual_friction = {self.usual_friction}: wanted a coefficient above 0, up to {MOST_FRICTION:g}, or None"
             )
 

@@ -16,6 +16,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..model.errors import InputError
+
 
 @dataclass(frozen=True)
 class Quality:
@@ -55,7 +57,7 @@ class Quality:
     def __post_init__(self) -> None:
         """Raises ValueError for marks without a second pass."""
         if self.marks and not self.second_pass:
-            raise ValueError(f"quality {self.name}: marks = true without a second pass; wanted both, or no marks")
+            raise InputError(f"quality {self.name}: marks = true without a second pass; wanted both, or no marks")
 
 
 FAST = Quality(

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die
+from ...model.errors import InputError
 from ...model.rotations import rotation_between
 from ...model.throw import packed_state
 from ...tracking.covariance import covariance_root
@@ -63,7 +64,7 @@ def entry_of(name: str, track: Track, die: Die) -> Entry:
         rows = usable_rows(track, die)
         release = release_before(track, die, row)
     except ValueError as error:
-        raise ValueError(f"{name}: {error}") from error
+        raise InputError(f"{name}: {error}") from error
     after = rows[rows >= row]
     early = flight_length(track, die, after) if len(after) >= MIN_FLIGHT_FRAMES else len(after)
     return Entry(name, track, after, early, release)

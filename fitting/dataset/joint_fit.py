@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from ...model.die import Die
+from ...model.errors import InputError
 from ...model.laws import Table
 from ..results import Effect, Misfit, Parameter, ParameterCovariance
 from ..throw import INTERVAL_LEVEL, Physics, table_under
@@ -112,10 +113,10 @@ def fit_jointly(
     throws under different gravity.
     """
     if len(entries) < 2:
-        raise ValueError(f"{len(entries)} throws with a first bounce; wanted at least two for a joint fit")
+        raise InputError(f"{len(entries)} throws with a first bounce; wanted at least two for a joint fit")
     tables = [table_under(entry.track, table) for entry in entries]
     if len(set(tables)) > 1:
-        raise ValueError("the tracks were filmed where gravity differs; wanted throws of one place")
+        raise InputError("the tracks were filmed where gravity differs; wanted throws of one place")
     impact_effects = [effect for effect in effects if effect in IMPACT_EFFECTS]
     steps = _Steps(progress, 3 * len(impact_effects) + 2 + STARTS + SPLITS)
     least = least_evidence(max(len(effects), 1), len(entries))

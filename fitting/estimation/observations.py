@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.errors import InputError
 from ...model.rotations import cross_matrix, rotation_between
 from ...model.throw import Throw
 from ...tracking.track import SharedErrors, Track
@@ -84,7 +85,7 @@ def flight_observations(track: Track, measured: Throw) -> FlightObservations:
     columns = (track.time_s, track.position_m, track.quaternion, track.covariance)
     shapes = [np.shape(column) for column in columns]
     if shapes != [(n,), (n, 3), (n, 4), (n, 6, 6)]:
-        raise ValueError(f"track columns of shapes {shapes}: wanted ({n},), ({n}, 3), ({n}, 4) and ({n}, 6, 6)")
+        raise InputError(f"track columns of shapes {shapes}: wanted ({n},), ({n}, 3), ({n}, 4) and ({n}, 6, 6)")
     interval = float(np.median(np.diff(track.time_s))) if n > 1 else 0.0
     poses = np.hstack([track.position_m, track.quaternion])
     usable = track.tracked & np.isfinite(poses).all(1) & np.isfinite(track.time_s)

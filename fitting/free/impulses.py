@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri, stdtrit
 
 from ...model.die import Die
+from ...model.errors import InputError
 from ...model.rotations import matrix_from_quat
 from ...model.throw import Flight, Impact, State, energy_J, touching_vertices
 from ...tracking.flights import perturbed, transition_matrix
@@ -104,7 +105,7 @@ def apparent_restitution(
     Raises ValueError for a vertex that the die does not have.
     """
     if not 0 <= vertex < len(die.solid.vertices):
-        raise ValueError(f"vertex = {vertex}: wanted an index from 0 to {len(die.solid.vertices) - 1}")
+        raise InputError(f"vertex = {vertex}: wanted an index from 0 to {len(die.solid.vertices) - 1}")
     touch_s = _touch_time(die, before, time_s, vertex)
     values = _impact_numbers(die, before, after, touch_s, vertex)
     covariance = _covariance(die, before, after, touch_s, vertex)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from ...model import engine
 from ...model.ensembles import ThrowSetup
+from ...model.errors import InputError
 from ...model.rotations import matrix_from_quat
 from ...model.throw import (
     BOUNCING_CAP,
@@ -130,7 +131,7 @@ def simulated_packed(
     """The same from states as `model.throw.packed_state` makes them, (m, 13) at the times (m,) [s]."""
     for begin, times in zip(begins_s, times_s, strict=True):
         if len(times) and times[0] < begin - _TIME_ROUNDING_S:
-            raise ValueError(f"times_s from {times[0]:g}: wanted none before the state's, {begin:g} s")
+            raise InputError(f"times_s from {times[0]:g}: wanted none before the state's, {begin:g} s")
     clock, length = physics.clock, physics.length
     true = packed / np.repeat([length, 1.0, clock * length, clock], (3, 4, 3, 3))
     starts, begins = lifted(physics, true, clock * begins_s), clock * begins_s

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die
+from ...model.errors import InputError
 from ...model.rotations import matrix_from_quat, rotation_between
 from ...model.throw import Flight, State, Turning, touching_vertices
 from ...tracking.flights import perturbed, pose_jacobian
@@ -178,7 +179,7 @@ def usable_rows(track: Track, die: Die) -> Indices:
     back = np.flatnonzero(np.diff(track.time_s[rows]) <= 0.0)
     if len(back):
         at = track.time_s[rows[back[0] + 1]]
-        raise ValueError(f"t_s = {at:g} does not rise; wanted times in order: sort the track, or cut it there")
+        raise InputError(f"t_s = {at:g} does not rise; wanted times in order: sort the track, or cut it there")
     turned = matrix_from_quat(track.quaternion[rows])[:, 2] @ touching_vertices(die).T
     lowest = turned.min(axis=1, initial=np.inf) + track.position_m[rows, 2] - die.corner_radius_m
     return rows[lowest > -_MAX_DEPTH * die.solid.inradius]
@@ -188,7 +189,7 @@ def first_bounce_row(track: Track, die: Die) -> int:
     """Row of the first frame after the first bounce. Raises ValueError if the track shows none, or begins too late."""
     rows, needed = usable_rows(track, die), MIN_FLIGHT_FRAMES + 1
     if len(rows) < needed:
-        raise ValueError(f"{len(rows)} frames have a pose; wanted at least {needed}, before a bounce and after it")
+        raise InputError(f"{len(rows)} frames have a pose; wanted at least {needed}, before a bounce and after it")
     begin = 0
     while len(rows) - begin > MIN_FLIGHT_FRAMES:
         end = begin + flight_length(track, die, rows[begin:])
@@ -197,7 +198,7 @@ def first_bounce_row(track: Track, die: Die) -> int:
         if not _gap_after(track, rows, end - 1):
             return int(rows[end])
         begin = end
-    raise ValueError("the die never bounces: no flight in the track ends at the table; wanted a track that reaches it")
+    raise InputError("the die never bounces: no flight in the track ends at the table; wanted a track that reaches it")
 
 
 def release_before(track: Track, die: Die, row: int) -> ReleaseState:
@@ -221,7 +222,7 @@ def release_before(track: Track, die: Die, row: int) -> ReleaseState:
             last = release_from(track, rows[begin - count :])
             if last.has_residuals_like(first):
                 return last.of_die(die)
-            raise ValueError(
+            raise InputError(
                 f"the {count} frames before row {row} make no free flight: they scatter by {1e3 * last.sigma_m:.2g} mm and "
                 f"{np.degrees(last.sigma_rad):.2g} degrees about the nearest one; wanted a frame before the die rolls or lies"
             )
@@ -230,7 +231,7 @@ def release_before(track: Track, die: Die, row: int) -> ReleaseState:
         covariances = track.covariance[left] if first is None else np.tile(first.frame_covariance, (LEAST_FRAMES, 1, 1))
         if np.isfinite(covariances).all():
             return _from_two_frames(track, left, covariances).of_die(die)
-    raise ValueError(
+    raise InputError(
         f"{len(left)} frames with a pose lie before row {row} in one flight; wanted at least {MIN_FLIGHT_FRAMES}, or "
         f"{LEAST_FRAMES} whose errors the track states: begin from another frame"
     )

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from ...model import engine
 from ...model.die import Die, largest_corner_radius
+from ...model.errors import InputError
 from ...model.laws import (
     CoulombImpact,
     FrictionBySpeed,
@@ -170,7 +171,7 @@ def table_under(track: Track, table: Table | None) -> Table:
     if table is None:
         return Table(gravity_m_s2=track.gravity_m_s2)
     if table.gravity_m_s2 != track.gravity_m_s2:
-        raise ValueError(
+        raise InputError(
             f"gravity_m_s2 = {table.gravity_m_s2:g} of the table and {track.gravity_m_s2:g} of the track; wanted the same"
         )
     return table

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die
+from ...model.errors import InputError
 from ...model.laws import Table
 from ...model.throw import Throw
 from ...tracking.flights import perturbed
@@ -112,7 +113,7 @@ def fit_throw(
     """
     unknown = [name for name in choices.effects or () if name not in EFFECTS]
     if unknown:
-        raise ValueError(f"effects: {unknown[0]!r} is none; wanted some of {', '.join(EFFECTS)}")
+        raise InputError(f"effects: {unknown[0]!r} is none; wanted some of {', '.join(EFFECTS)}")
     physics = Physics(die, table_under(track, table), {"chi": _START_CHI})
     fit = replace(_fit(track, measured, physics, choices), choices=choices)
     rested = resting_face(track, die)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..errors import InputError
 from .mass_distribution import mass_distribution
 from .solid import Array, Solid, check_positive, inner_vertices, isohedral_solid, numbered_solid
 
@@ -82,7 +83,7 @@ class Die:
     def __getattr__(self, name: str) -> float:
         """Raise the error for `inertia_kg_m2` of an asymmetric die; Python calls this for missing attributes only."""
         if name == "inertia_kg_m2":
-            raise ValueError(
+            raise InputError(
                 f"inertia_kg_m2 of a {self.solid.name} that is no spherical top: wanted a die with one moment of "
                 "inertia and its centre of mass at the centroid; use inertia_tensor_kg_m2"
             )
@@ -157,13 +158,13 @@ def make_die(
             check_positive(name, value)
     solid = isohedral_solid(shape, edge_m)
     if not 0 <= corner_radius_m <= MAX_CORNER_RADIUS_FRACTION * solid.inradius:
-        raise ValueError(
+        raise InputError(
             f"corner_radius_m = {corner_radius_m}: wanted 0 or more, "
             f"and at most {MAX_CORNER_RADIUS_FRACTION:g} times the inscribed radius of {solid.inradius:.6g} m"
         )
     largest = 2.0 / 3.0 * mass_kg * solid.circumradius**2
     if inertia_kg_m2 is not None and not MIN_INERTIA_FRACTION * largest <= inertia_kg_m2 <= largest:
-        raise ValueError(
+        raise InputError(
             f"inertia_kg_m2 = {inertia_kg_m2}: wanted {MIN_INERTIA_FRACTION * largest:.3g} to {largest:.3g}, which is the "
             "moment with all of the mass at the distance of the corners"
         )
@@ -195,7 +196,7 @@ def die_from_solid(
         tensor = _checked_tensor(inertia_tensor_kg_m2)
         inner_vertices(solid, corner_radius_m)
     elif centre is not None and centre.any():
-        raise ValueError(
+        raise InputError(
             f"centre_of_mass_m = {centre.tolist()} without an inertia tensor: wanted both, because the centre of mass "
             "alone does not give the inertia; give inertia_tensor_kg_m2, or use loaded_die"
         )
@@ -229,7 +230,7 @@ def loaded_die(
     """
     check_positive("mass_kg", mass_kg)
     if not (np.isfinite(load_kg) and load_kg >= 0.0):
-        raise ValueError(f"load_kg = {load_kg}: wanted a finite number, 0 or more")
+        raise InputError(f"load_kg = {load_kg}: wanted a finite number, 0 or more")
     position = _point_inside(solid, "load_position_m", load_position_m)
     body = mass_distribution(solid, corner_radius_m)
     lever, share = position - body.centroid_m, load_kg / (mass_kg + load_kg)
@@ -255,9 +256,9 @@ def _point_inside(solid: Solid, name: str, point: ArrayLike) -> Array:
     """The point (3,) as an array. Raises ValueError, naming it, unless it lies inside the solid."""
     position = np.asarray(point, float)
     if position.shape != (3,) or not np.isfinite(position).all():
-        raise ValueError(f"{name} = {position.tolist()}: wanted 3 finite numbers")
+        raise InputError(f"{name} = {position.tolist()}: wanted 3 finite numbers")
     if (solid.normals @ position >= solid.offsets).any():
-        raise ValueError(
+        raise InputError(
             f"{name} = {position.tolist()}: wanted a point inside the {solid.name}, measured from its centroid"
         )
     return position
@@ -267,14 +268,14 @@ def _checked_tensor(given: ArrayLike) -> Array:
     """The tensor (3, 3), made exactly symmetric. Raises ValueError for a tensor that no body has."""
     tensor = np.asarray(given, float)
     if tensor.shape != (3, 3) or not np.isfinite(tensor).all():
-        raise ValueError(f"inertia_tensor_kg_m2 of shape {tensor.shape}: wanted (3, 3) finite numbers")
+        raise InputError(f"inertia_tensor_kg_m2 of shape {tensor.shape}: wanted (3, 3) finite numbers")
     size = float(np.abs(tensor).max())
     if np.abs(tensor - tensor.T).max() > TENSOR_TOLERANCE * size:
-        raise ValueError(f"inertia_tensor_kg_m2 = {tensor.tolist()}: wanted a symmetric tensor")
+        raise InputError(f"inertia_tensor_kg_m2 = {tensor.tolist()}: wanted a symmetric tensor")
     tensor = 0.5 * (tensor + tensor.T)
     small, middle, large = np.linalg.eigvalsh(tensor)
     if small <= 0.0 or large > (small + middle) * (1.0 + TENSOR_TOLERANCE):
-        raise ValueError(
+        raise InputError(
             f"inertia_tensor_kg_m2 with principal moments {small:.6g}, {middle:.6g}, {large:.6g}: wanted all above 0 "
             "and none larger than the sum of the other two"
         )

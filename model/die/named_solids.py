@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..errors import InputError
 from .solid import SHAPES, Solid, check_positive, convex_solid, isohedral_solid, renumbered, solid_of_rounded_points
 
 MIN_CUT = 1e-6
 """Least part of a tip that may be cut off, or left. With less, rounding cannot separate a face from a vertex, or the solid
 from a disc."""
-
 MESH_SUFFIXES = (".stl", ".obj", ".ply", ".off")
 """Files of meshes that `solid_from_mesh` reads."""
 
@@ -55,11 +55,11 @@ def truncated_dipyramid(sides: int, radius_m: float, half_height_m: float, cut: 
     upper and 2n + 2 the lower cut. Raises ValueError for fewer than three sides, a length that is not above 0, or another cut.
     """
     if sides < 3:
-        raise ValueError(f"sides = {sides}: wanted a polygon of three sides or more")
+        raise InputError(f"sides = {sides}: wanted a polygon of three sides or more")
     check_positive("radius_m", radius_m)
     check_positive("half_height_m", half_height_m)
     if cut != 0.0 and not MIN_CUT <= cut <= 1.0 - MIN_CUT:
-        raise ValueError(f"cut = {cut}: wanted 0, or a part of the tip's height from {MIN_CUT:g} to 1 - {MIN_CUT:g}")
+        raise InputError(f"cut = {cut}: wanted 0, or a part of the tip's height from {MIN_CUT:g} to 1 - {MIN_CUT:g}")
     angles = 2.0 * np.pi * np.arange(sides) / sides
     ring = radius_m * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(sides)])
     height = (1.0 - cut) * half_height_m
@@ -81,7 +81,7 @@ def cuboid(edges_m: Sequence[float]) -> Solid:
     """A cuboid with edges of three lengths along x, y and z. Faces as on the cube: 1 is +z, 2 +x, 3 +y, and opposite faces add
     up to seven. Raises ValueError for other than three lengths above 0."""
     if len(edges_m) != 3:
-        raise ValueError(f"edges_m = {list(edges_m)}: wanted 3 lengths")
+        raise InputError(f"edges_m = {list(edges_m)}: wanted 3 lengths")
     for edge_m in edges_m:
         check_positive("edges_m", edge_m)
     half = 0.5 * np.array(edges_m, float)
@@ -101,7 +101,7 @@ def pentagonal_trapezohedron(edge_m: float, short_edge_m: float) -> Solid:
     ring2, height2 = np.linalg.solve(by_squares, [edge_m**2, short_edge_m**2])
     low, high = 2.0 * rise / (1.0 - rise), 2.0 * np.sqrt(sine2)
     if not (ring2 > 0.0 and height2 > 0.0):
-        raise ValueError(
+        raise InputError(
             f"short_edge_m = {short_edge_m} beside edge_m = {edge_m}: wanted {low:.3g} to {high:.3g} of it, as a d10 with flat "
             "faces has"
         )
@@ -123,7 +123,7 @@ def polyhedron(corners_m: ArrayLike) -> Solid:
     solid = convex_solid(corners_m)
     given = len(np.asarray(corners_m))
     if len(solid.vertices) < given:
-        raise ValueError(
+        raise InputError(
             f"corners_m: {given - len(solid.vertices)} of {given} points lie inside the others; wanted corners only"
         )
     return solid
@@ -141,21 +141,21 @@ def solid_from_mesh(path: Path, unit_m: float) -> Solid:
     try:
         mesh = trimesh.load(path, force="mesh")
     except Exception as error:  # trimesh raises whatever its parsers meet
-        raise ValueError(f"{path.name} cannot be read as a mesh ({type(error).__name__}: {error})") from error
+        raise InputError(f"{path.name} cannot be read as a mesh ({type(error).__name__}: {error})") from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) < 4 or not np.isfinite(mesh.vertices).all():
-        raise ValueError(f"{path.name} holds no mesh of triangles")
+        raise InputError(f"{path.name} holds no mesh of triangles")
     if not mesh.is_watertight:
-        raise ValueError(
+        raise InputError(
             f"{path.name}: the surface has holes; wanted a closed surface; repair it in the program that made it"
         )
     solid = solid_of_rounded_points(unit_m * np.asarray(mesh.vertices, float), path.name)
     missing = 1.0 - abs(float(mesh.volume)) * unit_m**3 / solid.volume_m3
     if missing > CONVEX_SHARE:
-        raise ValueError(
+        raise InputError(
             f"{path.name}: the body fills {1.0 - missing:.4f} of its convex hull; wanted a convex body, without engraved marks"
         )
     if len(solid.faces) > MOST_FACES:
-        raise ValueError(
+        raise InputError(
             f"{path.name}: {len(solid.faces)} faces; wanted {MOST_FACES} at most: the sharp polyhedron of the flat faces, with "
             "corner_radius_m for its rounded corners"
         )
@@ -166,14 +166,14 @@ def named_solid(shape: str, **dimensions: Any) -> Solid:
     """The solid of a name in SOLID_KINDS with its dimensions, [m]. Raises ValueError for another name, for dimensions that are
     missing or not of this shape, and as its builder does."""
     if shape not in SOLID_KINDS:
-        raise ValueError(f"shape = {shape!r}: wanted one of {', '.join(SOLID_KINDS)}")
+        raise InputError(f"shape = {shape!r}: wanted one of {', '.join(SOLID_KINDS)}")
     kind = SOLID_KINDS[shape]
     missing = [name for name in kind.dimensions if name not in dimensions and name not in kind.optional]
     if missing:
-        raise ValueError(f"{missing[0]} is missing; wanted {kind.dimensions[missing[0]]}")
+        raise InputError(f"{missing[0]} is missing; wanted {kind.dimensions[missing[0]]}")
     unknown = [name for name in dimensions if name not in kind.dimensions]
     if unknown:
-        raise ValueError(f"{unknown[0]} = {dimensions[unknown[0]]} of a {shape}: wanted {', '.join(kind.dimensions)}")
+        raise InputError(f"{unknown[0]} = {dimensions[unknown[0]]} of a {shape}: wanted {', '.join(kind.dimensions)}")
     return replace(kind.build(**dimensions), name=shape, dimensions=dimensions)
 
 

@@ -20,6 +20,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
 
+from ..errors import InputError
+
 Array = NDArray[np.float64]
 
 SHAPES = ("tetrahedron", "cube", "octahedron", "dodecahedron", "icosahedron")
@@ -114,7 +116,7 @@ def inner_vertices(solid: Solid, radius_m: float) -> Array:
     faces that would split into several.
     """
     if not 0.0 <= radius_m < solid.inradius:
-        raise ValueError(
+        raise InputError(
             f"corner_radius_m = {radius_m}: wanted 0 or more, and less than the inscribed radius {solid.inradius:.6g} m"
         )
     if np.ptp(solid.offsets) <= INSPHERE_TOLERANCE * solid.inradius:
@@ -127,12 +129,12 @@ def inner_vertices(solid: Solid, radius_m: float) -> Array:
         corners[i] = np.linalg.lstsq(solid.normals[meeting], moved[meeting], rcond=None)[0]
         gap = float(np.abs(solid.normals[meeting] @ corners[i] - moved[meeting]).max())
         if gap > CORNER_TOLERANCE * solid.circumradius:
-            raise ValueError(
+            raise InputError(
                 f"corner_radius_m = {radius_m} on a {solid.name}: the {len(meeting)} faces that meet in vertex {i} "
                 "would no longer meet in one point; wanted a radius of 0, or a solid with three faces at that vertex"
             )
     if (corners @ solid.normals.T - moved).max() > CORNER_TOLERANCE * solid.circumradius:
-        raise ValueError(
+        raise InputError(
             f"corner_radius_m = {radius_m} on a {solid.name}: a face would vanish; wanted a smaller radius"
         )
     return corners
@@ -162,7 +164,7 @@ def largest_corner_radius(solid: Solid) -> float:
 def isohedral_solid(shape: str, edge_m: float) -> Solid:
     """A regular solid with the given edge length [m]. Raises ValueError for a shape that is not in SHAPES."""
     if shape not in SHAPES:
-        raise ValueError(f"shape = {shape!r}: wanted one of {', '.join(SHAPES)}")
+        raise InputError(f"shape = {shape!r}: wanted one of {', '.join(SHAPES)}")
     unit = _unit_solid(shape)
     return Solid(
         unit.name, unit.vertices * edge_m, unit.faces, unit.normals, unit.offsets * edge_m, unit.edges, unit.edge_faces,
@@ -212,12 +214,12 @@ def solid_of_rounded_points(points: ArrayLike, name: str) -> Solid:
     number = {int(v): k for k, v in enumerate(kept)}
     faces = tuple(tuple(number[v] for v in loop if v in number) for loop in loops)
     if min(len(face) for face in faces) < 3:
-        raise ValueError(f"{name}: a face has fewer than three corners; wanted a polyhedron of flat faces")
+        raise InputError(f"{name}: a face has fewer than three corners; wanted a polyhedron of flat faces")
     vertices = points[kept] - _centroid(points[kept], faces)
     planes = [_plane(vertices[list(face)]) for face in faces]
     size = float(np.ptp(vertices, axis=0).max())
     if any(off > FLAT_SHARE * size for _, off in planes):
-        raise ValueError(f"{name}: a face is bent; wanted flat faces")
+        raise InputError(f"{name}: a face is bent; wanted flat faces")
     solid = _with_faces(name, vertices, faces, np.array([normal for normal, _ in planes]))
     return replace(solid, rounding=SINGLE_PRECISION)
 
@@ -231,10 +233,10 @@ def _with_faces(name: str, vertices: Array, faces: tuple[tuple[int, ...], ...], 
 def _spanning(points: Array) -> Array:
     """The points. Raises ValueError unless they span a volume."""
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 4 or not np.isfinite(points).all():
-        raise ValueError(f"vertices of shape {points.shape}: wanted at least four finite points (n, 3)")
+        raise InputError(f"vertices of shape {points.shape}: wanted at least four finite points (n, 3)")
     spread = np.linalg.svd(points - points.mean(0), compute_uv=False)
     if spread[2] < FLATNESS_TOLERANCE * spread[0]:
-        raise ValueError("vertices lie in one plane: wanted points that span a volume")
+        raise InputError("vertices lie in one plane: wanted points that span a volume")
     return points
 
 
@@ -270,7 +272,7 @@ def numbered_solid(solid: Solid, numbers: Sequence[int]) -> Solid:
     their order.
     """
     if sorted(numbers) != list(range(1, len(solid.faces) + 1)):
-        raise ValueError(f"numbers = {list(numbers)} for a {solid.name}: wanted each of 1 to {len(solid.faces)} once")
+        raise InputError(f"numbers = {list(numbers)} for a {solid.name}: wanted each of 1 to {len(solid.faces)} once")
     return renumbered(solid, [int(k) for k in np.argsort(numbers)])
 
 
@@ -282,7 +284,7 @@ def lowest_face(solid: Solid, rotation: ArrayLike) -> int:
 def check_positive(name: str, value: float) -> None:
     """Raise ValueError, naming the quantity, unless it is finite and above 0."""
     if not (np.isfinite(value) and value > 0):
-        raise ValueError(f"{name} = {value}: wanted a finite number above 0")
+        raise InputError(f"{name} = {value}: wanted a finite number above 0")
 
 
 def renumbered(solid: Solid, order: list[int]) -> Solid:

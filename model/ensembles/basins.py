@@ -17,6 +17,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import InputError
 from .landings import Landings, ThrowSetup, chunks_in_order
 from .releases import CONDITIONS, states_of
 
@@ -40,11 +41,11 @@ class Axis:
 
     def __post_init__(self) -> None:
         if self.name not in CONDITIONS:
-            raise ValueError(f"axis {self.name!r}: wanted one of {', '.join(CONDITIONS)}")
+            raise InputError(f"axis {self.name!r}: wanted one of {', '.join(CONDITIONS)}")
         if not (np.isfinite([self.low, self.high]).all() and self.low < self.high):
-            raise ValueError(f"{self.name} from {self.low} to {self.high}: wanted finite bounds, the lower one first")
+            raise InputError(f"{self.name} from {self.low} to {self.high}: wanted finite bounds, the lower one first")
         if self.pixels < 1:
-            raise ValueError(f"{self.name} in {self.pixels} pixels: wanted 1 or more")
+            raise InputError(f"{self.name} in {self.pixels} pixels: wanted 1 or more")
 
     @property
     def centres(self) -> Array:
@@ -66,14 +67,14 @@ class Window:
 
     def __post_init__(self) -> None:
         if self.x.name == self.y.name:
-            raise ValueError(f"axes {self.x.name} and {self.y.name}: wanted two different axes")
+            raise InputError(f"axes {self.x.name} and {self.y.name}: wanted two different axes")
         for name, value in self.fixed.items():
             if name not in CONDITIONS:
-                raise ValueError(f"fixed condition {name!r}: wanted one of {', '.join(CONDITIONS)}")
+                raise InputError(f"fixed condition {name!r}: wanted one of {', '.join(CONDITIONS)}")
             if not np.isfinite(value):
-                raise ValueError(f"{name} = {value}: wanted a finite number")
+                raise InputError(f"{name} = {value}: wanted a finite number")
         if self.x.pixels * self.y.pixels > MAX_PIXELS:
-            raise ValueError(
+            raise InputError(
                 f"{self.x.pixels} × {self.y.pixels} pixels: wanted at most {MAX_PIXELS}; map it in parts, as zooms"
             )
 

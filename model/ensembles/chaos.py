@@ -40,6 +40,7 @@ from numpy.typing import NDArray
 
 from .. import engine
 from ..engine import derivatives
+from ..errors import InputError
 from ..throw import ENDINGS, Ending, State, body_of, checked_release
 from .landings import ThrowSetup
 
@@ -199,10 +200,10 @@ def largest_lyapunov_exponent(
     or a die that comes to lie on an oscillating table.
     """
     if impacts < 2 or orbits < 1 or left_out < 0:
-        raise ValueError(f"impacts = {impacts}, orbits = {orbits}, left_out = {left_out}: wanted at least 2, 1 and 0")
+        raise InputError(f"impacts = {impacts}, orbits = {orbits}, left_out = {left_out}: wanted at least 2, 1 and 0")
     chi = setup.law.parameters[0]
     if not setup.table.moves and chi < 1.0:
-        raise ValueError(
+        raise InputError(
             f"chi = {chi:g} on a table at rest: every throw ends, with a finite growth and no exponent; "
             "wanted chi = 1 or an oscillating table"
         )
@@ -263,7 +264,7 @@ def _orbit(
         setup.packed, packed, start_s, _random_disturbance(setup, rng), growth, clock
     )
     if reached < impacts:
-        raise ValueError(
+        raise InputError(
             f"the die bounced only {reached} times ({ENDINGS[code].value}); wanted {impacts} impacts; try a stronger "
             "oscillation or a larger chi"
         )

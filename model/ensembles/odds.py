@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import InputError
 from .landings import ENDING_OF_INDEX, Indices, Landings, ThrowSetup, chunks_in_order
 from .releases import BLOCK, Conditions, drawn_states
 
@@ -116,7 +117,7 @@ def check_releases(setup: ThrowSetup, conditions: Conditions) -> None:
     height = lowest_m * cos(setup.table.tilt_rad) - (setup.table.amplitude_m if setup.table.moves else 0.0)
     radius = setup.die.solid.circumradius
     if not height >= radius:
-        raise ValueError(
+        raise InputError(
             f"releases from a height of {lowest_m:.6g} m: a vertex of the die is up to {radius:.6g} m below its centre, and "
             "could begin below the table; wanted a higher lowest release"
         )
@@ -142,7 +143,7 @@ def tally_throws(
     """
     check_releases(setup, conditions)
     if throws < 1 or chunk < 1 or threads < 1 or after < 0:
-        raise ValueError(
+        raise InputError(
             f"throws = {throws}, chunk = {chunk}, threads = {threads}, after = {after}: wanted 1 or more, and 0 or more for after"
         )
     tally = Tally.empty(len(setup.die.solid.faces), after) if begun is None else begun

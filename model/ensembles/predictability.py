@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtrc
 
+from ..errors import InputError
 from .landings import chunks_in_order
 from .odds import Share
 
@@ -242,5 +243,5 @@ def _checked_sizes(epsilons: Sequence[float]) -> Array:
     """The sizes (k,) as an array. Raises ValueError unless all are finite and above 0."""
     sizes = np.asarray(epsilons, float)
     if sizes.ndim != 1 or not len(sizes) or not (np.isfinite(sizes) & (sizes > 0)).all():
-        raise ValueError(f"epsilons = {list(epsilons)}: wanted sizes above 0")
+        raise InputError(f"epsilons = {list(epsilons)}: wanted sizes above 0")
     return sizes

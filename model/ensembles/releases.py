@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ..compiled import compiled
 from ..die import Die
+from ..errors import InputError
 
 Array = NDArray[np.float64]
 
@@ -118,14 +119,14 @@ def states_of(numbers: Array) -> Array:
 def _check_finite(name: str, values: tuple[float, ...]) -> None:
     """Raise ValueError, naming the quantity, unless all values are finite."""
     if not np.isfinite(values).all():
-        raise ValueError(f"{name} = {values}: wanted finite numbers")
+        raise InputError(f"{name} = {values}: wanted finite numbers")
 
 
 def _check_range(name: str, values: tuple[float, float]) -> None:
     """Raise ValueError, naming the quantity, unless it is a finite range."""
     _check_finite(name, values)
     if values[0] > values[1]:
-        raise ValueError(f"{name} = {values}: wanted the lower bound first")
+        raise InputError(f"{name} = {values}: wanted the lower bound first")
 
 
 @compiled

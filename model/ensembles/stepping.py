@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from ..compiled import compiled
 from ..die import Die
 from ..engine import Body
+from ..errors import InputError
 from ..throw import body_of
 from ..world import GRAVITY_M_S2
 
@@ -41,11 +42,11 @@ def stepped_landings(die: Die, chi: float, starts: Array, step_s: float, *, sing
     state in float32. Raises ValueError for a loaded or rounded die, a χ outside 0 to 1, and a step that is not above 0.
     """
     if not die.is_spherical_top or die.corner_radius_m > 0.0:
-        raise ValueError(f"a {die.solid.name} that is loaded or rounded: wanted a sharp spherical top; use throw_die")
+        raise InputError(f"a {die.solid.name} that is loaded or rounded: wanted a sharp spherical top; use throw_die")
     if not 0.0 <= chi <= 1.0:
-        raise ValueError(f"chi = {chi}: wanted 0 to 1")
+        raise InputError(f"chi = {chi}: wanted 0 to 1")
     if not (np.isfinite(step_s) and step_s > 0.0):
-        raise ValueError(f"step_s = {step_s}: wanted a time above 0 s")
+        raise InputError(f"step_s = {step_s}: wanted a time above 0 s")
     body = body_of(die)
     states = np.array(starts, np.float32 if single else np.float64)
     landed = np.empty(len(states), np.int64)

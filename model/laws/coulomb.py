@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from .. import engine
+from ..errors import InputError
 from .impact_law import Array, check_restitution
 
 Restitution = Literal["newton", "poisson", "stronge"]
@@ -46,10 +47,10 @@ class CoulombImpact:
     def __post_init__(self) -> None:
         check_restitution(self.chi)
         if not (np.isfinite(self.mu) and self.mu >= 0.0):
-            raise ValueError(f"mu = {self.mu}: wanted a coefficient of friction, 0 or more and finite")
+            raise InputError(f"mu = {self.mu}: wanted a coefficient of friction, 0 or more and finite")
         if self.restitution not in _RESTITUTION_CODES:
             known = ", ".join(map(repr, _RESTITUTION_CODES))
-            raise ValueError(f"restitution = {self.restitution!r}: wanted one of {known}")
+            raise InputError(f"restitution = {self.restitution!r}: wanted one of {known}")
 
     @property
     def code(self) -> int:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .. import engine
+from ..errors import InputError
 from .coulomb import CoulombImpact
 from .impact_law import Array
 from .smooth import SmoothImpact
@@ -40,7 +41,7 @@ class RestitutionBySpeed:
 
     def __post_init__(self) -> None:
         if not isinstance(self.law, SmoothImpact | CoulombImpact):
-            raise ValueError(f"law = {self.law}: wanted a SmoothImpact or a CoulombImpact")
+            raise InputError(f"law = {self.law}: wanted a SmoothImpact or a CoulombImpact")
         _check_speed_dependence(self.speed_scale_m_s, self.exponent, FULL_PLASTICITY_EXPONENT)
 
     @property
@@ -79,7 +80,7 @@ class FrictionBySpeed:
     def __post_init__(self) -> None:
         slowest = self.law.law if isinstance(self.law, RestitutionBySpeed) else self.law
         if not isinstance(slowest, CoulombImpact):
-            raise ValueError(f"law = {self.law}: wanted a CoulombImpact, or a RestitutionBySpeed of one")
+            raise InputError(f"law = {self.law}: wanted a CoulombImpact, or a RestitutionBySpeed of one")
         _check_speed_dependence(self.speed_scale_m_s, self.exponent, SOFT_PLASTIC_EXPONENT)
 
     @property
@@ -102,6 +103,6 @@ class FrictionBySpeed:
 def _check_speed_dependence(speed_scale_m_s: float, exponent: float, usual_exponent: float) -> None:
     """Raise ValueError for a speed scale that is not above 0 and finite, or an exponent below 0."""
     if not (np.isfinite(speed_scale_m_s) and speed_scale_m_s > 0.0):
-        raise ValueError(f"speed_scale_m_s = {speed_scale_m_s}: wanted a finite speed above 0")
+        raise InputError(f"speed_scale_m_s = {speed_scale_m_s}: wanted a finite speed above 0")
     if not (np.isfinite(exponent) and exponent >= 0.0):
-        raise ValueError(f"exponent = {exponent}: wanted 0 or more; the usual value is {usual_exponent:g}")
+        raise InputError(f"exponent = {exponent}: wanted 0 or more; the usual value is {usual_exponent:g}")

@@ -17,6 +17,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import InputError
+
 Array = NDArray[np.float64]
 
 
@@ -45,4 +47,4 @@ class ImpactLaw(Protocol):
 def check_restitution(chi: float) -> None:
     """Raise ValueError unless `chi` is a coefficient of restitution, from 0 to 1."""
     if not 0.0 <= chi <= 1.0:
-        raise ValueError(f"chi = {chi}: wanted a coefficient of restitution from 0 to 1")
+        raise InputError(f"chi = {chi}: wanted a coefficient of restitution from 0 to 1")

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .. import engine
+from ..errors import InputError
 from ..rotations import matrix_from_quat, quat_from_rotvec
 from ..world import GRAVITY_M_S2
 from .impact_law import Array
@@ -45,15 +46,15 @@ class Table:
     def __post_init__(self) -> None:
         for name in ("tilt_rad", "downhill_rad", "amplitude_m", "frequency_hz", "phase_rad", "gravity_m_s2"):
             if not np.isfinite(getattr(self, name)):
-                raise ValueError(f"{name} = {getattr(self, name)}: wanted a finite number")
+                raise InputError(f"{name} = {getattr(self, name)}: wanted a finite number")
         if not self.gravity_m_s2 > 0.0:
-            raise ValueError(f"gravity_m_s2 = {self.gravity_m_s2}: wanted more than 0, in metres per second squared")
+            raise InputError(f"gravity_m_s2 = {self.gravity_m_s2}: wanted more than 0, in metres per second squared")
         if self.frequency_hz > MAX_FREQUENCY_HZ:
-            raise ValueError(f"frequency_hz = {self.frequency_hz}: wanted hertz, at most {MAX_FREQUENCY_HZ:g}")
+            raise InputError(f"frequency_hz = {self.frequency_hz}: wanted hertz, at most {MAX_FREQUENCY_HZ:g}")
         if abs(self.tilt_rad) > MAX_TILT_RAD:
-            raise ValueError(f"tilt_rad = {self.tilt_rad}: wanted radians, at most {MAX_TILT_RAD} either way")
+            raise InputError(f"tilt_rad = {self.tilt_rad}: wanted radians, at most {MAX_TILT_RAD} either way")
         if self.amplitude_m < 0 or self.frequency_hz < 0:
-            raise ValueError(
+            raise InputError(
                 f"amplitude_m = {self.amplitude_m}, frequency_hz = {self.frequency_hz}: wanted 0 or more; "
                 "for a negative amplitude add pi to the phase"
             )

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..die import Die
 from ..engine import FINE, LEVEL, NO_LIMIT, SMOOTH, AsymmetricBody, Law, Limits, Plane, Precision, Setup
 from ..engine.asymmetric import asymmetric_states_at, run_asymmetric_throw
+from ..errors import InputError
 from ..rotations import matrix_from_quat, quat_conjugate, quat_multiply
 from .body import (
     asymmetric_body_of,
@@ -97,7 +98,7 @@ def throw_asymmetric_die(
     below the table.
     """
     if law.code != SMOOTH:
-        raise ValueError(f"law {law.code} by the kernels of asymmetric dice: wanted the smooth impact, {SMOOTH}")
+        raise InputError(f"law {law.code} by the kernels of asymmetric dice: wanted the smooth impact, {SMOOTH}")
     plane = Plane(*(float(value) for value in plane))  # kernels are compiled for floats
     body, body_from_principal = asymmetric_body_of(die)
     start = packed_state(centre_of_mass_state(die, release))

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from .. import engine
 from ..die import INSPHERE_TOLERANCE, Die, Solid, inner_vertices
+from ..errors import InputError
 from ..laws import LEVEL, Table
 from ..rotations import matrix_from_quat, quat_conjugate, quat_from_matrix, quat_multiply
 from .motion import State, rotated_state
@@ -105,16 +106,16 @@ def packed_state(state: State) -> Array:
     for name, size in (("time_s", 0), *fields):
         value = np.asarray(getattr(state, name), float)
         if value.shape != ((size,) if size else ()) or not np.isfinite(value).all():
-            raise ValueError(f"{name} = {value.tolist()}: wanted {size or 1} finite numbers")
+            raise InputError(f"{name} = {value.tolist()}: wanted {size or 1} finite numbers")
         if name in MAX_STATE_COMPONENT and float(np.abs(value).max()) > MAX_STATE_COMPONENT[name]:
-            raise ValueError(
+            raise InputError(
                 f"{name} = {value.tolist()}: wanted at most {MAX_STATE_COMPONENT[name]:g}, beyond which double precision does "
                 "not resolve the motion"
             )
         parts.append(value)
     length = float(np.linalg.norm(parts[2]))
     if abs(length - 1.0) > QUATERNION_LENGTH_TOLERANCE:
-        raise ValueError(f"quaternion of length {length:.9g}: wanted a unit quaternion wxyz; divide it by its length")
+        raise InputError(f"quaternion of length {length:.9g}: wanted a unit quaternion wxyz; divide it by its length")
     parts[2] = parts[2] / length
     return np.concatenate(parts[1:])
 
@@ -151,7 +152,7 @@ def check_above_table(release: State, lowest_m: float, radius_m: float, plane: e
     """Raise ValueError if the lowest vertex of a release, at the height `lowest_m` in the table's axes, is below the table."""
     clearance_m = lowest_m - engine.table_height(plane, float(release.time_s))
     if clearance_m < -RELEASE_DEPTH_TOLERANCE * radius_m:
-        raise ValueError(
+        raise InputError(
             f"position_m = {np.asarray(release.position_m).tolist()}: the lowest vertex lies {-clearance_m:.3g} m below the "
             "table; raise the die"
         )
@@ -281,7 +282,7 @@ def _plane_distances(solid: Solid, radius_m: float, centre_m: Array) -> Array:
     """Distances (faces,) [m] of the planes of the inner solid from a centre of mass. Raises ValueError for one outside it."""
     distances = np.asarray(solid.offsets - radius_m - solid.normals @ centre_m)
     if distances.min() <= 0.0:
-        raise ValueError(
+        raise InputError(
             f"centre_of_mass_m = {centre_m.tolist()}: wanted it deeper inside the {solid.name} than its corner radius of "
             f"{radius_m:.6g} m"
         )

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..die import Die
 from ..engine.asymmetric import EvenTurning, TorqueFree, torque_free_turns
+from ..errors import InputError
 from ..rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, quat_multiply
 from ..world import GRAVITY_M_S2
 
@@ -181,7 +182,7 @@ class Throw:
 
     def __post_init__(self) -> None:
         if len(self.flights) != len(self.impacts) + 1:
-            raise ValueError(
+            raise InputError(
                 f"{len(self.flights)} flights and {len(self.impacts)} impacts: wanted one flight more than impacts"
             )
 

@@ -39,6 +39,7 @@ import numpy as np
 
 from .. import engine
 from ..die import Die
+from ..errors import InputError
 from ..laws import LEVEL, ImpactLaw, Table
 from ..rotations import quat_conjugate
 from .asymmetric_throw import throw_asymmetric_die
@@ -92,9 +93,9 @@ class Until:
 
     def __post_init__(self) -> None:
         if self.time_s is not None and not np.isfinite(self.time_s):
-            raise ValueError(f"time_s = {self.time_s}: wanted a finite time in seconds, or None for no limit")
+            raise InputError(f"time_s = {self.time_s}: wanted a finite time in seconds, or None for no limit")
         if self.impacts is not None and not (isinstance(self.impacts, int | np.integer) and self.impacts >= 0):
-            raise ValueError(f"impacts = {self.impacts}: wanted a whole number, 0 or more, or None for no limit")
+            raise InputError(f"impacts = {self.impacts}: wanted a whole number, 0 or more, or None for no limit")
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,11 +136,11 @@ class Precision:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.contact_tolerance_m < np.inf:
-            raise ValueError(f"contact_tolerance_m = {self.contact_tolerance_m}: wanted a finite height, 0 or more")
+            raise InputError(f"contact_tolerance_m = {self.contact_tolerance_m}: wanted a finite height, 0 or more")
         if not 0.0 < self.slowest_bounce < 1.0:
-            raise ValueError(f"slowest_bounce = {self.slowest_bounce}: wanted a number above 0 and below 1")
+            raise InputError(f"slowest_bounce = {self.slowest_bounce}: wanted a number above 0 and below 1")
         if not 0.0 < self.step_turn_rad <= 1.0:
-            raise ValueError(f"step_turn_rad = {self.step_turn_rad}: wanted an angle above 0, at most 1 rad")
+            raise InputError(f"step_turn_rad = {self.step_turn_rad}: wanted an angle above 0, at most 1 rad")
 
     @property
     def packed(self) -> engine.Precision:
@@ -174,7 +175,7 @@ def throw_die(
     """
     duration = np.inf if until.time_s is None else float(until.time_s - release.time_s)
     if duration < 0.0:
-        raise ValueError(f"until time_s = {until.time_s}: wanted a time after the release at {release.time_s} s")
+        raise InputError(f"until time_s = {until.time_s}: wanted a time after the release at {release.time_s} s")
     endless = until == Until() and is_endless(law, table)
     cap = BOUNCING_CAP if endless else IMPACT_CAP
     kind, packed_law = body_kind(die), engine.law_of(law.code, law.parameters)

@@ -9,6 +9,7 @@ from enum import Enum
 
 from .. import engine
 from ..die import Die
+from ..errors import InputError
 
 
 class BodyKind(Enum):
@@ -77,7 +78,7 @@ def refuse_unsupported(door: Door, kind: BodyKind, law: engine.Law, has_drag: bo
     if not too_much:
         return
     others = " or ".join(action.value for action in Action if action in allowed)
-    raise ValueError(
+    raise InputError(
         f"{' and '.join(too_much)} on a die {kind.value}: wanted smooth impacts"
         f"{f', or {others},' if others else ' of one restitution'} for {door.value}"
     )

@@ -64,6 +64,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import engine
 from ..die import Die, inner_vertices
 from ..engine import derivatives
+from ..errors import InputError
 from ..laws import LEVEL, ImpactLaw, SmoothImpact, Table
 from ..rotations import cross_matrix, matrix_from_quat, quat_multiply
 from .asymmetric_tangent import (
@@ -197,7 +198,7 @@ def propagate(
     packed = packed_start(die, start, table) if vertices is not None else checked_release(die, start, table)
     times = np.atleast_1d(np.asarray(times_s, float))
     if times.ndim != 1 or not np.isfinite(times).all():
-        raise ValueError(f"times_s of shape {times.shape}: wanted finite times (n,) in seconds")
+        raise InputError(f"times_s of shape {times.shape}: wanted finite times (n,) in seconds")
     order = np.argsort(times, kind="stable")
     run = TangentRun(
         differentiated,
@@ -233,7 +234,7 @@ def _check_names(parameters: Sequence[str]) -> None:
     """Raise ValueError unless each parameter is known and named once."""
     for name in parameters:
         if name not in PARAMETERS or list(parameters).count(name) > 1:
-            raise ValueError(f"parameters = {list(parameters)}: wanted each once, of {', '.join(PARAMETERS)}")
+            raise InputError(f"parameters = {list(parameters)}: wanted each once, of {', '.join(PARAMETERS)}")
 
 
 def _check_end(code: int, times: Array, log: Array, start_s: float) -> None:
@@ -241,7 +242,7 @@ def _check_end(code: int, times: Array, log: Array, start_s: float) -> None:
     if code in (engine.CHATTER, engine.IMPACT_CAP):
         ending = Ending.CHATTER if code == engine.CHATTER else Ending.IMPACT_CAP
         last = log[-1, 0] if len(log) else start_s
-        raise ValueError(f"times_s up to {times.max():.6g}: {ending.value} The last impact was at {last:.6g} s.")
+        raise InputError(f"times_s up to {times.max():.6g}: {ending.value} The last impact was at {last:.6g} s.")
 
 
 def _checked_vertices(die: Die, vertices: Sequence[int] | None) -> NDArray[np.int64]:
@@ -249,7 +250,7 @@ def _checked_vertices(die: Die, vertices: Sequence[int] | None) -> NDArray[np.in
     sequence = np.array([] if vertices is None else list(vertices), np.int64)
     count = len(die.solid.vertices)
     if ((sequence < 0) | (sequence >= count)).any():
-        raise ValueError(f"vertices = {sequence.tolist()}: wanted indices from 0 to {count - 1}")
+        raise InputError(f"vertices = {sequence.tolist()}: wanted indices from 0 to {count - 1}")
     return sequence
 
 
@@ -263,7 +264,7 @@ def _differentiated_law(law: ImpactLaw, parameters: Sequence[str]) -> engine.Law
 def _air(drag_per_m: float, parameters: Sequence[str]) -> engine.Vacuum | engine.Air:
     """Air if there is drag, or if a derivative by drag is asked for; otherwise vacuum. Raises ValueError for drag below 0."""
     if not (np.isfinite(drag_per_m) and drag_per_m >= 0.0):
-        raise ValueError(f"drag_per_m = {drag_per_m}: wanted 0 or more, half of ρ c A/m in 1/m")
+        raise InputError(f"drag_per_m = {drag_per_m}: wanted 0 or more, half of ρ c A/m in 1/m")
     if drag_per_m == 0.0 and "drag_per_m" not in parameters:
         return engine.Vacuum(0.0)
     return engine.Air(float(drag_per_m), np.array([1.0 if name == "drag_per_m" else 0.0 for name in parameters]))

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die, Solid
+from ...model.errors import InputError
 from ...model.rotations import continuous_sign, matrix_from_quat, rotation_between
 from ...model.throw import Impact, Throw
 from ...tracking.track import TRACKED, Track
@@ -154,11 +155,11 @@ def track_of(throw: Throw, fps: float) -> Track:
     Frame k is at the time k / fps. Raises ValueError if fps is not positive or the throw contains no frame.
     """
     if not (np.isfinite(fps) and fps > 0):
-        raise ValueError(f"fps = {fps}: wanted a finite number above 0")
+        raise InputError(f"fps = {fps}: wanted a finite number above 0")
     begin, end = throw.flights[0].start.time_s, throw.flights[-1].end_s
     frames = np.arange(int(np.ceil(begin * fps - FRAME_ROUNDING)), int(np.floor(end * fps + FRAME_ROUNDING)) + 1)
     if not len(frames):
-        raise ValueError(f"fps = {fps}: no frame falls between the {begin} s and {end} s of the throw; raise fps")
+        raise InputError(f"fps = {fps}: no frame falls between the {begin} s and {end} s of the throw; raise fps")
     times = frames / fps
     positions, quaternions = throw.poses(times)
     unknown = np.full((len(frames), 6, 6), np.nan)

@@ -21,6 +21,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.errors import InputError
+
 if TYPE_CHECKING:
     from ...tracking.footage import Clip, Frame
 
@@ -135,5 +137,5 @@ def encode_jpegs(clip: Clip, window: Window) -> Iterator[bytes]:
     for frame in clip.frames():
         done, data = cv2.imencode(".jpg", window.apply(frame), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
         if not done:
-            raise ValueError(f"a frame of {frame.shape[1]} x {frame.shape[0]} pixels could not be encoded as JPEG")
+            raise InputError(f"a frame of {frame.shape[1]} x {frame.shape[0]} pixels could not be encoded as JPEG")
         yield data.tobytes()

@@ -19,6 +19,7 @@ from matplotlib.collections import LineCollection
 from numpy.typing import NDArray
 
 from ...model.die import Solid
+from ...model.errors import InputError
 from ...model.throw import Impact
 from ..elements import COLOURS, Motion, VisibleEdges, Window, display_window, hex_colour, visible_edges
 
@@ -90,7 +91,7 @@ def bounce_strip(
     """
     shown = rows_of_strip(clip, camera, solid, motions[0], impacts)
     if not shown:
-        raise ValueError("no bounce has two frames with poses around it, so no strip of frames can be drawn")
+        raise InputError("no bounce has two frames with poses around it, so no strip of frames can be drawn")
     corners = [_corner_box(camera, solid, motions[0], [k for k in frames if k is not None]) for _, frames in shown]
     size = (1.0 + 2.0 * CROP_MARGIN) * max(float((high - low).max()) for low, high in corners)
     size = min(size, clip.width_px, clip.height_px)
@@ -208,7 +209,7 @@ def _exposures(clip: Clip, camera: Camera, solid: Solid, motion: Motion) -> NDAr
     """Rows of the motion to show: bounces, first and last pose, and those between that overlap no more than MAX_OVERLAP."""
     in_clip = np.flatnonzero((motion.frame >= clip.first_frame) & (motion.frame < clip.first_frame + len(clip)))
     if not len(in_clip):
-        raise ValueError("no frame of the clip has a pose, so no die can be cut out")
+        raise InputError("no frame of the clip has a pose, so no die can be cut out")
     times = motion.time_s[in_clip]
     wanted = {int(in_clip[np.abs(times - impact.time_s).argmin()]) for impact in motion.impacts}
     wanted = set(sorted(wanted)[: MAX_EXPOSURES // 2]) | {int(in_clip[0]), int(in_clip[-1])}

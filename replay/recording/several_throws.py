@@ -28,6 +28,7 @@ import rerun as rr
 from numpy.typing import NDArray
 from rerun.chunk import Chunk, RrdReader
 
+from ...model.errors import InputError
 from ..elements import BLACK, MEASURED, SIMULATED, THROW_COLOURS, WHITE, Colour, mixed
 from .scenery import eye_of, send_table
 from .several_throws_blueprint import JoinedContents, JoinedThrow, views_of
@@ -100,7 +101,7 @@ def join_recordings(out: Path, sources: Sequence[Source], *, same_throw: bool = 
     """
     names = [source.name for source in sources]
     if len(set(names)) < len(names):
-        raise ValueError(f"two recordings have the same name, among {', '.join(names)}; give each its own name")
+        raise InputError(f"two recordings have the same name, among {', '.join(names)}; give each its own name")
     reads = [_read(source) for source in sources]
     shifts = [(0, 0)] * len(reads) if same_throw or not at_bounce else _shifts(reads)
     joined = _joined(reads, shifts, same_throw)
@@ -150,11 +151,11 @@ def _read(source: Source) -> _LoadedRecording:
         recordings = reader.recordings()
         chunks = list(reader.stream())
     except (RuntimeError, ValueError) as error:
-        raise ValueError(f"{source.path}: not a Rerun recording ({error})") from error
+        raise InputError(f"{source.path}: not a Rerun recording ({error})") from error
     poses = [_poses(chunks, f"/world/{motion}/die") for motion in ("measured", "simulated")]
     known = [pose for pose in poses if pose is not None]
     if not known or not recordings:
-        raise ValueError(f"{source.path}: this recording has no moving die; wanted the replay.rrd of a throw")
+        raise InputError(f"{source.path}: this recording has no moving die; wanted the replay.rrd of a throw")
     times, frames, positions = known[0]
     box = np.array([positions.min(0), positions.max(0)])
     radius = _radius(chunks)
@@ -216,7 +217,7 @@ def _shifts(reads: Sequence[_LoadedRecording]) -> list[tuple[int, int]]:
     bounces = [read.bounce for read in reads]
     missing = [read.title for read in reads if read.bounce is None]
     if missing:
-        raise ValueError(f"{missing[0]} has no bounce at which the clocks could be aligned; try --align frame")
+        raise InputError(f"{missing[0]} has no bounce at which the clocks could be aligned; try --align frame")
     last_t, last_frame = (max(bounce[k] for bounce in bounces if bounce) for k in (0, 1))
     return [(last_t - bounce[0], last_frame - bounce[1]) for bounce in bounces if bounce]
 

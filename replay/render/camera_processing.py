@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import shift
 
+from ...model.errors import InputError
+
 Array = NDArray[np.float64]
 
 SHARPENING_RADIUS_PX = 1.2
@@ -45,9 +47,9 @@ class Processing:
     def __post_init__(self) -> None:
         for name in ("gain_drift", "sharpening", "shake_px"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
-                raise ValueError(f"{name} = {getattr(self, name)}: wanted 0 or more")
+                raise InputError(f"{name} = {getattr(self, name)}: wanted 0 or more")
         if not 0 <= self.denoising <= 1:
-            raise ValueError(f"denoising = {self.denoising}: wanted 0 (none) to 1")
+            raise InputError(f"denoising = {self.denoising}: wanted 0 (none) to 1")
 
 
 def gains(processing: Processing, frames: int) -> Array:

@@ -17,6 +17,8 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.errors import InputError
+
 Frame = NDArray[np.uint8] | NDArray[np.uint16]
 
 CONTAINER_FPS = 30
@@ -46,24 +48,24 @@ class Codec:
 
     def __post_init__(self) -> None:
         if self.name not in CODECS:
-            raise ValueError(f"codec = {self.name!r}: wanted one of {', '.join(CODECS)}")
+            raise InputError(f"codec = {self.name!r}: wanted one of {', '.join(CODECS)}")
         if self.crf is not None:
             if self.name == "ffv1":
-                raise ValueError(
+                raise InputError(
                     f"crf = {self.crf}: ffv1 stores frames without loss; wanted h264, hevc or mjpeg with it"
                 )
             low, high = CRF_RANGE[self.name]
             if not low <= self.crf <= high:
-                raise ValueError(f"crf = {self.crf}: wanted {low} to {high} for {self.name}")
+                raise InputError(f"crf = {self.crf}: wanted {low} to {high} for {self.name}")
         if self.full_range and self.name not in ("h264", "hevc"):
-            raise ValueError(f"full_range: the range of {self.name} is fixed; wanted h264 or hevc with it")
+            raise InputError(f"full_range: the range of {self.name} is fixed; wanted h264 or hevc with it")
 
         if self.turned_deg % 90 or not 0 <= self.turned_deg < 360:
-            raise ValueError(f"turned_deg = {self.turned_deg}: wanted 0, 90, 180 or 270")
+            raise InputError(f"turned_deg = {self.turned_deg}: wanted 0, 90, 180 or 270")
         if self.turned_deg and self.suffix != ".mp4":
-            raise ValueError(f"turned_deg = {self.turned_deg}: only MP4 states it; wanted h264 or hevc with it")
+            raise InputError(f"turned_deg = {self.turned_deg}: only MP4 states it; wanted h264 or hevc with it")
         if self.turned_deg and not hasattr(av.VideoStream, "set_display_rotation"):
-            raise ValueError(
+            raise InputError(
                 f"turned_deg = {self.turned_deg}: PyAV {av.__version__} cannot write it; wanted PyAV 18 or newer"
             )
 
@@ -76,7 +78,7 @@ class Codec:
         """Raises ValueError for a depth that the codec cannot hold."""
         if bit_depth not in DEPTHS[self.name]:
             wanted = ", ".join(map(str, DEPTHS[self.name]))
-            raise ValueError(f"bit_depth = {bit_depth}: wanted one of {wanted} for {self.name}")
+            raise InputError(f"bit_depth = {bit_depth}: wanted one of {wanted} for {self.name}")
 
 
 def write_film(path: Path, frames: Iterator[Frame], codec: Codec, bit_depth: int) -> None:
@@ -104,7 +106,7 @@ def _stream(
     container: av.container.OutputContainer, codec: Codec, bit_depth: int, height: int, width: int
 ) -> av.VideoStream:
     if codec.name != "ffv1" and (height % 2 or width % 2):
-        raise ValueError(f"{width} × {height} pixels: {codec.name} stores chroma for 2 × 2 pixels; wanted an even size")
+        raise InputError(f"{width} × {height} pixels: {codec.name} stores chroma for 2 × 2 pixels; wanted an even size")
     stream = container.add_stream(ENCODERS[codec.name], rate=CONTAINER_FPS, options=_options(codec))
     stream.height, stream.width = height, width
     stream.pix_fmt = _pixel_format(codec, bit_depth)

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.errors import InputError
+
 FROZEN_FRAMES = 3
 """Length of a freeze: that many frames repeat the picture before them."""
 FAULTLESS_FRAMES = 2
@@ -30,7 +32,7 @@ class FrameFaults:
     def __post_init__(self) -> None:
         for name in ("missing", "doubled", "frozen"):
             if not 0 <= getattr(self, name) <= 0.5:
-                raise ValueError(f"{name} = {getattr(self, name)}: wanted a share of the frames, 0 to 0.5")
+                raise InputError(f"{name} = {getattr(self, name)}: wanted a share of the frames, 0 to 0.5")
 
     @property
     def any(self) -> bool:

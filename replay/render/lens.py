@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from ...model.errors import InputError
 from ...tracking.camera import Camera
 from .image_boxes import BOX_STEP_PX, Box
 
@@ -96,7 +97,7 @@ class Aperture:
         if not (
             np.isfinite(self.diameter_m) and self.diameter_m >= 0 and np.isfinite(self.focus_m) and self.focus_m > 0
         ):
-            raise ValueError(
+            raise InputError(
                 f"aperture_m = {self.diameter_m}, focus_m = {self.focus_m}: wanted a diameter of 0 or more and a distance above 0"
             )
 
@@ -178,7 +179,7 @@ def undistorted(camera: Camera) -> Array:
     projected = camera.project((in_camera - camera.translation_m) @ camera.rotation)
     if np.abs(projected - pixels).max() < MAX_INVERSION_ERROR_PX:
         return rays
-    raise ValueError(
+    raise InputError(
         f"distortion = {camera.distortion.tolist()}: the distortion is not invertible within the frame; "
         "wanted one that maps every pixel to one direction"
     )

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die
+from ...model.errors import InputError
 from ...model.rotations import matrix_from_quat
 from ...model.throw import Throw
 from ...tracking.camera import Camera
@@ -66,7 +67,7 @@ MIN_BLUR_PX = 0.4
 """Smallest point spread: the area of a pixel alone has a standard deviation of 0.3 px."""
 
 
-class NoRendererError(ValueError):
+class NoRendererError(InputError):
     """Mitsuba is not installed; the extra `film` includes it."""
 
 
@@ -82,7 +83,7 @@ class RenderSettings:
 
     def __post_init__(self) -> None:
         if self.samples < 1 or self.threads < 1:
-            raise ValueError(f"samples = {self.samples}, threads = {self.threads}: wanted 1 or more of each")
+            raise InputError(f"samples = {self.samples}, threads = {self.threads}: wanted 1 or more of each")
 
 
 def frame_light(
@@ -144,7 +145,7 @@ class FilmRenderer:
     ) -> None:
         """Raises NoRendererError without Mitsuba, ValueError for a blur below MIN_BLUR_PX."""
         if blur_px < MIN_BLUR_PX:
-            raise ValueError(f"blur_px = {blur_px}: wanted {MIN_BLUR_PX} or more; the area of a pixel alone gives 0.3")
+            raise InputError(f"blur_px = {blur_px}: wanted {MIN_BLUR_PX} or more; the area of a pixel alone gives 0.3")
         self.die, self.camera, self.appearance, self.rendering = die, camera, appearance, rendering
         self.aperture = aperture
         self._mirror = is_mirror(surface)
@@ -367,7 +368,7 @@ def _mitsuba(rendering: RenderSettings) -> Any:
             "Mitsuba 3, which renders films, is not installed; run pip install 'diethrow[film]'"
         ) from error
     if rendering.variant not in mitsuba.variants():
-        raise ValueError(f"variant = {rendering.variant!r}: wanted one of {', '.join(mitsuba.variants())}")
+        raise InputError(f"variant = {rendering.variant!r}: wanted one of {', '.join(mitsuba.variants())}")
     mitsuba.set_variant(rendering.variant)
     mitsuba.set_log_level(mitsuba.LogLevel.Error)  # otherwise the sampler warns of rounded counts on every frame
     drjit.set_thread_count(rendering.threads)

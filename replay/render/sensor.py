@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.errors import InputError
+
 Array = NDArray[np.float64]
 
 MIN_BITS = 8
@@ -36,9 +38,9 @@ class Sensor:
 
     def __post_init__(self) -> None:
         if not MIN_BITS <= self.bit_depth <= MAX_BITS:
-            raise ValueError(f"bit_depth = {self.bit_depth}: wanted {MIN_BITS} to {MAX_BITS} bits, for example 8 or 12")
+            raise InputError(f"bit_depth = {self.bit_depth}: wanted {MIN_BITS} to {MAX_BITS} bits, for example 8 or 12")
         if not (self.full_well_e > 0 and min(self.read_noise_e, self.pixel_gain_sigma, self.pixel_offset_e) >= 0):
-            raise ValueError(
+            raise InputError(
                 f"full_well_e = {self.full_well_e}, read_noise_e = {self.read_noise_e}, "
                 f"pixel_gain_sigma = {self.pixel_gain_sigma}, pixel_offset_e = {self.pixel_offset_e}: "
                 "wanted a full well above 0 and noises of 0 or more"

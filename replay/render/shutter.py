@@ -19,6 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.errors import InputError
+
 Array = NDArray[np.float64]
 
 MAX_STEP_PX = 0.4
@@ -39,9 +41,9 @@ class Shutter:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.exposure_s) and self.exposure_s > 0):
-            raise ValueError(f"exposure_s = {self.exposure_s}: wanted a finite number above 0")
+            raise InputError(f"exposure_s = {self.exposure_s}: wanted a finite number above 0")
         if not (np.isfinite(self.readout_s) and self.readout_s >= 0):
-            raise ValueError(
+            raise InputError(
                 f"readout_s = {self.readout_s}: wanted 0 for a global shutter, or the time from row to row"
             )
 

@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from .model.ensembles import Axis as Axis
     from .model.ensembles import PaperConditions as PaperConditions
     from .model.ensembles import UniformConditions as UniformConditions
+    from .model.errors import DiethrowError as DiethrowError
+    from .model.errors import InputError as InputError
     from .model.laws import CoulombImpact as CoulombImpact
     from .model.laws import FrictionBySpeed as FrictionBySpeed
     from .model.laws import RestitutionBySpeed as RestitutionBySpeed
@@ -60,9 +62,11 @@ __all__ = [
     "Camera",
     "CoulombImpact",
     "Die",
+    "DiethrowError",
     "Flight",
     "FrictionBySpeed",
     "Impact",
+    "InputError",
     "Odds",
     "PaperConditions",
     "Plan",
@@ -97,6 +101,7 @@ _NAMES_OF = {
         *("Basins", "Odds", "SimulatedThrow", "basins", "odds", "throw"),
     ),
     "runs": ("RunError",),
+    "model.errors": ("DiethrowError", "InputError"),
     "model.ensembles": ("Axis", "PaperConditions", "UniformConditions"),
     "model.laws": ("CoulombImpact", "FrictionBySpeed", "RestitutionBySpeed", "SmoothImpact", "Table"),
     "model.throw": ("Flight", "Impact", "State", "Throw", "Until", "throw_die"),

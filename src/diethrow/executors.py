@@ -32,6 +32,13 @@ class WorkerLostError(RuntimeError):
     """The process that executed a call died, by a signal or for lack of memory."""
 
 
+def _refused(text: str) -> ValueError:
+    """The error of an impossible value; its module loads the numerical libraries."""
+    from .model.errors import InputError
+
+    return InputError(text)
+
+
 class Processes(Executor):
     """Single processes of this machine, one core each.
 
@@ -43,7 +50,7 @@ class Processes(Executor):
     def __init__(self, workers: int) -> None:
         """`workers` processes, started when first needed. Raises ValueError below 1."""
         if workers < 1:
-            raise ValueError(f"{workers} workers: wanted 1 or more")
+            raise _refused(f"{workers} workers: wanted 1 or more")
         self.workers = workers
         self._own = threading.local()
         self._all: set[_Worker] = set()
@@ -232,7 +239,7 @@ def cluster_at(address: str) -> Iterator[Executor]:
     try:
         from distributed import Client, KilledWorker
     except ImportError as error:
-        raise ValueError("--scheduler needs Dask; try pip install 'diethrow[distributed]'") from error
+        raise _refused("--scheduler needs Dask; try pip install 'diethrow[distributed]'") from error
     try:
         client = Client(address, timeout=ANSWER_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
@@ -257,10 +264,10 @@ def _demand_same_version(client: Any, address: str) -> None:
 
     versions = client.run(_version)
     if not versions:
-        raise ValueError(f"the cluster at {address} has no workers; start some with dask worker {address}")
+        raise _refused(f"the cluster at {address} has no workers; start some with dask worker {address}")
     for worker, version in versions.items():
         if version != __version__:
-            raise ValueError(f"{worker} has diethrow {version}, and this is {__version__}; install the same everywhere")
+            raise _refused(f"{worker} has diethrow {version}, and this is {__version__}; install the same everywhere")
 
 
 def _version() -> str:

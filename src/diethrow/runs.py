@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .model.die import Die
+from .model.errors import InputError
 from .model.throw import Throw
 from .tracking.camera import Camera
 from .tracking.check import SecondDie, fall_notices, measure_fall
@@ -22,7 +23,7 @@ Progress = Callable[[str, int, int], None]
 """Called with the name of the stage, the amount done and the total; a total of 0 is unknown."""
 
 
-class RunError(ValueError):
+class RunError(InputError):
     """A run with well-formed input and no result; the text states the reason."""
 
 

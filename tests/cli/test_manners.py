@@ -9,11 +9,16 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 import typer
 from command_line import CUBE, LAW, RELEASE, invoke, text_file
 
+import diethrow
 from diethrow.cli.app import app
+from diethrow.cli.errors import one_sentence_errors
+from diethrow.files.outputs import OutputExistsError
+from diethrow.model.errors import InputError
 
 COMMANDS = sorted(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
 WITHOUT_NUMBERS = {"film", "report"}
@@ -149,3 +154,20 @@ def test_quiet_and_verbose_exclude_each_other(throw_plan: Path, tmp_path: Path) 
 def test_the_module_is_the_program() -> None:
     run = subprocess.run([sys.executable, "-m", "diethrow", "--version"], capture_output=True, text=True, check=True)
     assert run.stdout.startswith("diethrow ")
+
+
+def test_a_fault_of_the_program_does_not_pose_as_a_mistake_of_the_user(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(ValueError, match="broadcast"), one_sentence_errors():
+        np.ones(2) + np.ones(3)
+    assert "a fault of the program, not of your input; please report" in capsys.readouterr().err
+    with pytest.raises(typer.Exit), one_sentence_errors():
+        raise InputError("three corners: wanted four")
+    assert capsys.readouterr().err == "diethrow: three corners: wanted four\n"
+
+
+def test_every_error_that_a_user_can_mend_has_one_base() -> None:
+    assert issubclass(diethrow.SceneError, diethrow.DiethrowError)
+    assert issubclass(diethrow.RunError, diethrow.DiethrowError)
+    assert issubclass(OutputExistsError, diethrow.DiethrowError)
+    with pytest.raises(diethrow.DiethrowError):
+        diethrow.make_die("cube", -1.0, 1.0)

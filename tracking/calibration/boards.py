@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.errors import InputError
 from ..footage import Frame
 
 Array = NDArray[np.float64]
@@ -115,18 +116,18 @@ def make_board(
     """A board; without `square_sigma_m` its size is known to PRINTED_SHARE. Raises ValueError for one that cannot be printed or
     detected."""
     if kind not in (CHARUCO, CHESSBOARD):
-        raise ValueError(f"board = {kind}; wanted {CHARUCO} or {CHESSBOARD}")
+        raise InputError(f"board = {kind}; wanted {CHARUCO} or {CHESSBOARD}")
     if not (MIN_SQUARES <= columns <= MAX_SQUARES and MIN_SQUARES <= rows <= MAX_SQUARES):
-        raise ValueError(
+        raise InputError(
             f"squares = {columns}x{rows}; wanted {MIN_SQUARES} to {MAX_SQUARES} along each side, as in 7x5"
         )
     if not 0 < square_m <= MAX_SQUARE_M:
-        raise ValueError(
+        raise InputError(
             f"square_mm = {1e3 * square_m:g}; wanted the side of a square in millimetres, above 0, at most {1e3 * MAX_SQUARE_M:g}"
         )
     sigma_m = PRINTED_SHARE * square_m if square_sigma_m is None else square_sigma_m
     if not 0.0 <= sigma_m < MOST_UNSURE * square_m:
-        raise ValueError(
+        raise InputError(
             f"square_sigma_mm = {1e3 * sigma_m:g}; wanted the standard error of the side in millimetres, 0 or more, below "
             f"{1e3 * MOST_UNSURE * square_m:g}"
         )
@@ -134,17 +135,17 @@ def make_board(
         return Board(kind, columns, rows, square_m, sigma_m)
     if marker_m is None or not 0 < marker_m < square_m:
         given = "missing" if marker_m is None else f"{1e3 * marker_m:g}"
-        raise ValueError(
+        raise InputError(
             f"marker_mm = {given}; wanted the side of a marker in millimetres, above 0 and below the square's "
             f"{1e3 * square_m:g}"
         )
     if not (dictionary.startswith("DICT_") and hasattr(cv2.aruco, dictionary)):
-        raise ValueError(
+        raise InputError(
             f"dictionary = {dictionary}; wanted a dictionary of OpenCV, for example DICT_4X4_50 or DICT_5X5_100"
         )
     markers, known = (columns * rows) // 2, len(_dictionary(dictionary).bytesList)
     if markers > known:
-        raise ValueError(
+        raise InputError(
             f"dictionary = {dictionary}: it has {known} markers and a board of {columns}x{rows} needs {markers}; "
             "give the dictionary that the board was printed with"
         )
@@ -257,7 +258,7 @@ def _check_not_mirrored(
     """Raise ValueError for a mirrored picture: its markers can be read only in its mirror image."""
     for (name, grey), view in zip(greys, views, strict=True):
         if view is None and _find_charuco(name, np.ascontiguousarray(grey[:, ::-1]), board, detector) is not None:
-            raise ValueError(
+            raise InputError(
                 f"{name}: the picture is mirrored: its board can only be read in its mirror image; "
                 "turn off the mirroring (flip) in the camera's software, for the clips as well"
             )

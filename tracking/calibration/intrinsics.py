@@ -27,6 +27,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.errors import InputError
 from ..covariance import scaled_inverse
 from .boards import MIN_CORNERS, BoardView
 
@@ -202,7 +203,7 @@ def _check_count(views: list[BoardView], left_out: list[tuple[str, float]]) -> N
     if len(views) < MIN_PICTURES:
         names = ", ".join(name for name, _ in left_out)
         also = f" ({names} do not fit the others)" if left_out else ""
-        raise ValueError(
+        raise InputError(
             f"the board is usable on {len(views)} pictures{also}; wanted {MIN_PICTURES} at least, better 10 to 20, "
             "with the board tilted to all sides"
         )
@@ -221,12 +222,12 @@ def _solve(views: list[BoardView], width_px: int, height_px: int, lens: tuple[st
             corners, pixels, (width_px, height_px), None, None, flags=flags, criteria=criteria
         )
     except cv2.error as error:
-        raise ValueError(NO_CAMERA) from error
+        raise InputError(NO_CAMERA) from error
     distortion = np.asarray(distortion, float).ravel()[:5]
     rotations = [np.asarray(cv2.Rodrigues(turn)[0], float) for turn in turns]
     places = [np.asarray(shift, float).ravel() for shift in shifts]
     if not (np.isfinite(matrix).all() and np.isfinite(distortion).all() and matrix[0, 0] > 0 and matrix[1, 1] > 0):
-        raise ValueError(NO_CAMERA)
+        raise InputError(NO_CAMERA)
     residuals = [
         view.pixels - _projected(view, R, t, matrix, distortion)[0]
         for view, R, t in zip(views, rotations, places, strict=True)

@@ -22,6 +22,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.errors import InputError
 from ...model.rotations import angle_between, cross_matrix
 from ..camera import Camera
 from .boards import Board
@@ -75,7 +76,7 @@ def table_pose(calibration: Calibration, board: Board, name: str, thickness_m: f
     """
     posed = next((each for each in calibration.boards if each.view.name == name), None)
     if posed is None:
-        raise ValueError(
+        raise InputError(
             f"{name}: the picture with the board on the table does not fit the others; take it again, sharp, with "
             "the same lens setting as for the others and the clips"
         )
@@ -116,7 +117,7 @@ def _check_distinguished(
 ) -> None:
     better = (other[2] - squares) / calibration.sigma_px**2
     if better < MIN_DIFFERENCE:
-        raise ValueError(
+        raise InputError(
             f"{name}: two poses of the table fit alike ({better:.2g} squared sigmas apart; wanted {MIN_DIFFERENCE:g}); "
             "take the picture with a larger board, nearer, or from lower down"
         )
@@ -134,12 +135,12 @@ def _check_above_table(camera: Camera, name: str) -> None:
     centre = camera.centre_m
     height, distance = float(centre[2]), float(np.linalg.norm(centre))
     if height <= 0:
-        raise ValueError(
+        raise InputError(
             f"{name}: the camera would be {-1e3 * height:.4g} mm below the table: the board lies face down, the picture is "
             "mirrored, or the corners are numbered the other way round; check --squares and take the picture again"
         )
     if height < distance * np.sin(MIN_ELEVATION_RAD):
-        raise ValueError(
+        raise InputError(
             f"{name}: the camera looks along the table, {np.degrees(np.arcsin(height / distance)):.2g} degrees above it; "
             "take the picture with the board flat on the table and the camera at its place for the clips"
         )

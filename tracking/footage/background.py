@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.errors import InputError
 from .clip import Clip
 from .images import read_picture
 
@@ -98,12 +99,12 @@ def load_background(path: Path, clip: Clip) -> NDArray[np.float32]:
     picture = read_picture(path)
     height, width = picture.shape
     if (width, height) != (clip.width_px, clip.height_px):
-        raise ValueError(
+        raise InputError(
             f"{path.name}: the background has {width} × {height} px; wanted the clip's {clip.width_px} × {clip.height_px}; "
             "use a frame of the same camera setting"
         )
     if (picture.dtype == np.uint8) != (clip.bit_depth <= 8) or int(picture.max()) >= 2**clip.bit_depth:
-        raise ValueError(
+        raise InputError(
             f"{path.name}: the background has {8 * picture.dtype.itemsize}-bit levels up to {int(picture.max())} and the clip "
             f"{clip.bit_depth} bits; save it at the clip's own depth"
         )

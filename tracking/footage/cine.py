@@ -35,6 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.compiled import compiled
+from ...model.errors import InputError
 from .photron import RATE_TOLERANCE, unpack_12bit
 from .reader import Footage, Frame, check_count, check_size, times_from_rate
 
@@ -214,13 +215,13 @@ def read_header(content: _Reader) -> tuple[Header, int]:
     _, width, height, _, bits, packing, _, _, _, _, _ = content.unpack(BITMAP_HEADER, bitmap_at, "its bitmap header")
     mark, length = content.unpack(struct.Struct("<2sH"), setup_at + AT_MARK, "its setup")
     if version != 1 or mark != b"ST" or length < SETUP_NEEDED_BYTES:
-        raise ValueError(
+        raise InputError(
             f"{path.name}: a .cine of an old kind (version {version}, setup of {length} bytes); "
             "save it again with the camera's software"
         )
     (filters,) = content.unpack(struct.Struct("<I"), setup_at + AT_FILTERS, "its setup")
     if compression == JPEG or compression not in (0, COLOUR_FILTERED) or filters & 0xFF or bits not in (8, 16):
-        raise ValueError(
+        raise InputError(
             f"{path.name}: Compression = {compression}, biBitCount = {bits}, CFA = {filters}; wanted uncompressed "
             "grey pictures; save the film as a grey raw cine or as TIFF"
         )
@@ -228,7 +229,7 @@ def read_header(content: _Reader) -> tuple[Header, int]:
     stored, depth = _depths(content, packing, bits, setup_at)
     per_group = {PACKED_10: 4, PACKED_12: 2}.get(packing, 1)
     if width * height % per_group:
-        raise ValueError(
+        raise InputError(
             f"{path.name}: {stored}-bit packed needs a number of pixels divisible by {per_group}, "
             f"got {width} × {height}; save the film in 16 bit"
         )
@@ -267,11 +268,11 @@ class _Reader:
     def bytes(self, place: int, count: int, what: str) -> bytes:
         """`count` bytes. Raises ValueError where the file ends before them, or the offset is impossible."""
         if place < 0 or place + count > self.size:
-            raise ValueError(f"{self.path.name}: the file of {self.size} bytes ends before {what}; copy it again")
+            raise InputError(f"{self.path.name}: the file of {self.size} bytes ends before {what}; copy it again")
         self._file.seek(place)
         content = self._file.read(count)
         if len(content) < count:
-            raise ValueError(f"{self.path.name}: the file was cut off before {what} while it was read; copy it again")
+            raise InputError(f"{self.path.name}: the file was cut off before {what} while it was read; copy it again")
         return content
 
     def unpack(self, form: struct.Struct, place: int, what: str) -> tuple[Any, ...]:
@@ -286,7 +287,7 @@ def _depths(content: _Reader, packing: int, bits: int, setup_at: int) -> tuple[i
         return 12, 12
     (real,) = content.unpack(struct.Struct("<I"), setup_at + AT_REAL_BITS, "its setup")
     if packing != UNPACKED or not (real == 8 if bits == 8 else 8 <= real <= 16):
-        raise ValueError(
+        raise InputError(
             f"{content.path.name}: biCompression = {packing}, biBitCount = {bits}, RealBPP = {real}; wanted 8 or 16 bit, or "
             "packed 10 or 12 bit; save the film as one of these"
         )
@@ -313,13 +314,13 @@ def _pixels(content: _Reader, place: int, header: Header, number: int) -> bytes:
     what = f"frame {number}"
     (annotation,) = content.unpack(struct.Struct("<I"), place, what)
     if annotation < 8:
-        raise ValueError(
+        raise InputError(
             f"{content.path.name}: frame {number} has an annotation of {annotation} bytes; wanted at least 8; "
             "the file is damaged, copy it again"
         )
     (size,) = content.unpack(struct.Struct("<I"), place + annotation - 4, what)
     if size != header.frame_bytes:
-        raise ValueError(
+        raise InputError(
             f"{content.path.name}: frame {number} has {size} bytes of pixels; wanted {header.frame_bytes} for "
             f"{header.width_px} × {header.height_px} px of {header.stored_bits} bit; the file is damaged, copy it again"
         )
@@ -379,9 +380,9 @@ def _rate_hz(step_s: float, stated: float | None) -> float:
 def _check_rate(path: Path, fps: float | None, found_hz: float | None, source: str) -> None:
     """Raise ValueError for an impossible fps, or one that contradicts the rate in the file."""
     if fps is not None and not (np.isfinite(fps) and fps > 0):
-        raise ValueError(f"{path.name}: fps = {fps}; wanted a recording rate above 0 frames per second")
+        raise InputError(f"{path.name}: fps = {fps}; wanted a recording rate above 0 frames per second")
     if fps is not None and found_hz is not None and abs(fps - found_hz) > RATE_TOLERANCE * fps:
-        raise ValueError(
+        raise InputError(
             f"{path.name}: fps = {fps:g}; the {source} {found_hz:.6g} frames/s; correct fps, or leave it out"
         )
 

@@ -13,6 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.errors import InputError
 from .cine import is_cine, open_cine
 from .images import files_of_pictures, is_tiff, open_pictures
 from .photron import is_photron, open_photron, photron_files
@@ -137,7 +138,7 @@ def open_clip(
             f"{path}: there is no such clip; give a film, a folder of pictures, a pattern or a header"
         )
     if path.stat().st_size == 0:
-        raise ValueError(f"{path.name}: the clip is an empty file; copy it again")
+        raise InputError(f"{path.name}: the clip is an empty file; copy it again")
     if is_cine(path):
         return open_cine(path, fps, frame_range)
     if is_photron(path):

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.errors import InputError
 from ..camera import Camera
 from .clip import Clip, Frame
 
@@ -35,7 +36,7 @@ class Decimation:
         for name in ("every", "shrink"):
             value = getattr(self, name)
             if value < 1:
-                raise ValueError(f"{name} = {value}: wanted a whole number, 1 or more")
+                raise InputError(f"{name} = {value}: wanted a whole number, 1 or more")
 
     @property
     def is_whole(self) -> bool:
@@ -47,12 +48,12 @@ class Decimation:
         if self.is_whole:
             return clip
         if min(clip.width_px, clip.height_px) < MIN_SIDE_PX * self.shrink:
-            raise ValueError(
+            raise InputError(
                 f"shrink = {self.shrink} leaves {clip.width_px // self.shrink} × {clip.height_px // self.shrink} px of "
                 f"{clip.width_px} × {clip.height_px}; wanted at least {MIN_SIDE_PX} each way; give a smaller shrink"
             )
         if len(clip) <= self.every:
-            raise ValueError(
+            raise InputError(
                 f"every = {self.every} leaves 1 frame of {len(clip)}; wanted 2 at least; give a smaller every"
             )
         return DecimatedClip(clip, self)

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.errors import InputError
 from .clip import Clip, FillsFrames
 
 Frames = NDArray[Any]
@@ -96,7 +97,7 @@ class FrameSource:
         self.clips = tuple(clips)
         counts = {len(clip) for clip in clips}
         if len(counts) > 1:
-            raise ValueError(
+            raise InputError(
                 f"the cameras have {', '.join(str(len(clip)) for clip in clips)} frames; wanted as many of each, since the "
                 "clips are synchronised; give clip.frames = [first, stop] that all of them cover"
             )

@@ -23,6 +23,7 @@ import numpy as np
 import tifffile
 from PIL import Image
 
+from ...model.errors import InputError
 from .reader import Footage, Frame, check_size, cut_off, times_from_rate
 
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm", ".pnm", ".webp", ".jp2")
@@ -70,7 +71,7 @@ def picture_files(path: Path) -> list[Path]:
         files = [file for file in path.iterdir() if file.suffix.lower() in PICTURE_SUFFIXES and _number(file)]
         kinds = sorted({_pattern(file) for file in files})
         if len(kinds) > 1:
-            raise ValueError(
+            raise InputError(
                 f"{path.name}: the folder holds pictures of {len(kinds)} kinds "
                 f"({', '.join(kinds[:MAX_KINDS_NAMED])}); give one picture of the sequence"
             )
@@ -81,7 +82,7 @@ def picture_files(path: Path) -> list[Path]:
     else:
         files = [Path(name) for name in glob.glob(str(path))]
     if not files:
-        raise ValueError(f"{path.name}: no pictures there; accepted are {', '.join(PICTURE_SUFFIXES)}")
+        raise InputError(f"{path.name}: no pictures there; accepted are {', '.join(PICTURE_SUFFIXES)}")
     return sorted(files, key=lambda file: [int(n) for n in re.findall(r"\d+", file.stem)] or [0])
 
 
@@ -91,20 +92,20 @@ def read_picture(path: Path) -> Frame:
         with _opened_tiff(path) as tiff:
             return _page_pixels(path, tiff, 0)
     if path.stat().st_size > MAX_PICTURE_BYTES:
-        raise ValueError(
+        raise InputError(
             f"{path.name}: {path.stat().st_size} bytes; wanted a picture of {MAX_PICTURE_BYTES} at most; save it again"
         )
     data = np.fromfile(path, np.uint8)
     _check_declared_size(path, data.tobytes())
     if not _is_whole_png(data.tobytes()):
-        raise ValueError(f"{path.name}: the picture is damaged (wrong checksums); save it again")
+        raise InputError(f"{path.name}: the picture is damaged (wrong checksums); save it again")
     try:
         with _quiet():
             picture = cv2.imdecode(data, cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION) if len(data) else None
     except cv2.error:
         picture = None
     if picture is None:
-        raise ValueError(
+        raise InputError(
             f"{path.name}: the picture is empty, damaged or of an unknown kind; save it again as PNG or TIFF"
         )
     return to_grey(path, picture, bgr=True)
@@ -119,7 +120,7 @@ def _check_declared_size(path: Path, data: bytes) -> None:
         ):
             width_px, height_px = picture.size
     except Image.DecompressionBombError as error:
-        raise ValueError(
+        raise InputError(
             f"{path.name}: the header declares more pixels than any camera has; save the picture again"
         ) from error
     except Exception:  # any error of Pillow on a damaged header; decoding reports the damage
@@ -149,7 +150,7 @@ def to_grey(path: Path, picture: Any, *, bgr: bool) -> Frame:
     """Luma of a picture (height, width) or (height, width, channels)."""
     picture = np.asarray(picture)
     if picture.dtype not in (np.uint8, np.uint16):
-        raise ValueError(
+        raise InputError(
             f"{path.name}: pixels of type {picture.dtype}; wanted 8- or 16-bit unsigned grey levels; save the picture so"
         )
     picture = picture.astype(picture.dtype.newbyteorder("="))
@@ -160,7 +161,7 @@ def to_grey(path: Path, picture: Any, *, bgr: bool) -> Frame:
     if picture.ndim == 3 and picture.shape[2] in (1, 2):
         picture = picture[..., 0]
     if picture.ndim != 2:
-        raise ValueError(f"{path.name}: an array of shape {picture.shape}; wanted a grey or RGB picture; save it so")
+        raise InputError(f"{path.name}: an array of shape {picture.shape}; wanted a grey or RGB picture; save it so")
     return np.ascontiguousarray(picture)
 
 
@@ -186,7 +187,7 @@ class PictureClip(Footage):
         frame = read_picture(self._files[number])
         if frame.shape != (self.height_px, self.width_px) or frame.dtype != self._dtype:
             h, w = frame.shape
-            raise ValueError(
+            raise InputError(
                 f"{self._files[number].name}: the picture has {w} × {h} px {frame.dtype}; wanted the first one's "
                 f"{self.width_px} × {self.height_px} px {self._dtype}; keep one sequence in a folder"
             )
@@ -202,7 +203,7 @@ class TiffClip(Footage):
         weakref.finalize(self, stack.close)
         count, notices = _readable_pages(path, self._tiff)
         if not count:
-            raise ValueError(f"{path.name}: the TIFF is cut off within its first page; save it again")
+            raise InputError(f"{path.name}: the TIFF is cut off within its first page; save it again")
         first = _page_pixels(path, self._tiff, 0)
         super().__init__(
             path,
@@ -271,7 +272,7 @@ def _opened_tiff(path: Path) -> Iterator[tifffile.TiffFile]:
         try:
             tiff = _with_first_page(file, path.name)
         except TIFF_ERRORS as error:
-            raise ValueError(f"{path.name}: the TIFF is damaged on its first page; save it again") from error
+            raise InputError(f"{path.name}: the TIFF is damaged on its first page; save it again") from error
         yield tiff
 
 
@@ -283,7 +284,7 @@ def _page_count(tiff: tifffile.TiffFile) -> int:
         if pages == 1 and tiff.is_imagej and tiff.series[0].dataoffset is not None:
             return max(1, int(tiff.series[0].size // tiff.pages.first.size))
     except TIFF_ERRORS as error:
-        raise ValueError(f"{tiff.filename}: the TIFF is damaged, its pages cannot be counted; save it again") from error
+        raise InputError(f"{tiff.filename}: the TIFF is damaged, its pages cannot be counted; save it again") from error
     return pages
 
 
@@ -340,7 +341,7 @@ def _page_pixels(path: Path, tiff: tifffile.TiffFile, number: int) -> Frame:
     try:
         page = tiff.pages[number]
     except TIFF_ERRORS as error:
-        raise ValueError(f"{path.name}: page {number} is damaged or cut off; save the TIFF again") from error
+        raise InputError(f"{path.name}: page {number} is damaged or cut off; save the TIFF again") from error
     _check_page_size(path, page)
     try:
         pixels = page.asarray()
@@ -354,13 +355,13 @@ def _page_pixels(path: Path, tiff: tifffile.TiffFile, number: int) -> Frame:
 def _check_page_size(path: Path, page: Any) -> None:
     """Raise ValueError for an impossible size, before memory is taken: a damaged tag may hold any number, or several."""
     if not all(isinstance(size, int) for size in (page.imagewidth, page.imagelength)):
-        raise ValueError(
+        raise InputError(
             f"{path.name}: a page of {page.imagewidth} × {page.imagelength} px; the TIFF is damaged; save it again"
         )
     check_size(path, page.imagewidth, page.imagelength)
     declared = page.imagewidth * page.imagelength * max(_number_of(page.samplesperpixel), _number_of(page.imagedepth))
     if not 0 < declared <= MAX_PIXELS_PER_BYTE * path.stat().st_size:
-        raise ValueError(
+        raise InputError(
             f"{path.name}: a page declares {declared} numbers, and the file has {path.stat().st_size} bytes; "
             "the TIFF is damaged; save it again"
         )
@@ -379,5 +380,5 @@ def _page_by_opencv(path: Path, number: int, error: Exception) -> Frame:
     except cv2.error:
         done, pages = False, ()
     if not done or not len(pages):
-        raise ValueError(f"{path.name}: page {number} cannot be decoded; save the TIFF without compression") from error
+        raise InputError(f"{path.name}: page {number} cannot be decoded; save the TIFF without compression") from error
     return to_grey(path, pages[0], bgr=True)

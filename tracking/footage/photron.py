@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.compiled import compiled, inner
+from ...model.errors import InputError
 from .reader import Footage, Frame, check_size, cut_off, times_from_rate
 
 MAX_HEADER_BYTES = 2**24
@@ -190,7 +191,7 @@ def _unpack(packed: NDArray[np.uint8], levels: NDArray[np.uint16]) -> None:
 def read_header(path: Path) -> Header:
     """A .cih or .cihx header. Raises ValueError with the key that is missing or impossible."""
     if path.stat().st_size > MAX_HEADER_BYTES:
-        raise ValueError(
+        raise InputError(
             f"{path.name}: {path.stat().st_size} bytes are too many for a Photron header; give its .cih or .cihx"
         )
     content = path.read_bytes()
@@ -216,17 +217,17 @@ def read_header(path: Path) -> Header:
 def _check(path: Path, header: Header, colour: str) -> None:
     """Raise ValueError for a header whose pixels cannot be read."""
     if colour.lower() not in ("mono", "raw") or header.stored_bits not in (8, 12, 16):
-        raise ValueError(
+        raise InputError(
             f"{path.name}: Color Type = {colour}, Color Bit = {header.stored_bits}; "
             "wanted Mono or Raw of 8, 12 or 16 bit; export the film as one of these"
         )
     if header.stored_bits == 12 and header.width_px * header.height_px % 2:
-        raise ValueError(
+        raise InputError(
             f"{path.name}: 12-bit packed needs an even number of pixels, got {header.width_px} × {header.height_px}; "
             "export the film in 16 bit"
         )
     if not 1 <= header.effective_bits <= 16:
-        raise ValueError(
+        raise InputError(
             f"{path.name}: EffectiveBit Depth = {header.effective_bits}; wanted 1 to 16; export the film again"
         )
 
@@ -245,20 +246,20 @@ def _xml_keys(path: Path, content: bytes) -> dict[str, str]:
     """The keys of the text header, from the XML inside a binary file."""
     end = content.find(b"</cih>")
     if end < 0:
-        raise ValueError(f"{path.name}: the header ends before </cih>; copy it again from the camera")
+        raise InputError(f"{path.name}: the header ends before </cih>; copy it again from the camera")
     try:
         root = ElementTree.fromstring(
             content[content.index(b"<cih>") : end + len(b"</cih>")].decode("utf-8", "replace")
         )
     except ElementTree.ParseError as error:
-        raise ValueError(f"{path.name}: the header is damaged XML ({error}); copy it again from the camera") from error
+        raise InputError(f"{path.name}: the header is damaged XML ({error}); copy it again from the camera") from error
     return {key: text.strip() for key, place in CIHX_KEYS.items() if (text := root.findtext(place))}
 
 
 def _whole(path: Path, keys: dict[str, str], key: str, default: str | None = None) -> int:
     text = keys.get(key, default)
     if text is None or not re.fullmatch(r"[+-]?\d{1,15}", text):
-        raise ValueError(f"{path.name}: {key} = {text}; wanted a whole number; export the film again")
+        raise InputError(f"{path.name}: {key} = {text}; wanted a whole number; export the film again")
     return int(text)
 
 
@@ -294,7 +295,7 @@ def _frame_rate_hz(path: Path, header: Header, fps: float | None) -> float | Non
         return fps / header.save_step if fps else fps
     if fps is not None and min(abs(fps - recorded), abs(fps - recorded / header.save_step)) > RATE_TOLERANCE * fps:
         step = f" (every {header.save_step}th frame kept)" if header.save_step > 1 else ""
-        raise ValueError(
+        raise InputError(
             f"{path.name}: fps = {fps:g}; the header declares {recorded:g} frames/s{step}; correct fps, or leave it out"
         )
     return recorded / header.save_step
@@ -305,7 +306,7 @@ def _readable_frames(pixels: Path, header: Header) -> tuple[int, tuple[str, ...]
     size = pixels.stat().st_size
     held = size // header.frame_bytes
     if held == 0:
-        raise ValueError(
+        raise InputError(
             f"{pixels.name}: {size} bytes; one frame takes {header.frame_bytes}, so the file is empty or cut off; copy it again"
         )
     count = min(held, header.total_frames) if header.total_frames > 0 else held

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.errors import InputError
+
 Frame = NDArray[np.uint8] | NDArray[np.uint16]
 
 MIN_NOISY_SHARE = 0.05
@@ -181,11 +183,11 @@ def times_from_rate(
 ) -> NDArray[np.float64]:
     """(count,) [s], t = k / fps; raises ValueError if fps is missing or not above 0. `playback` says which rate the file has."""
     if fps is None:
-        raise ValueError(
+        raise InputError(
             f"{path.name}: the file carries {playback}; give the recording rate as fps, in frames per second"
         )
     if not (np.isfinite(fps) and fps > 0):
-        raise ValueError(f"{path.name}: fps = {fps}; wanted a recording rate above 0 frames per second")
+        raise InputError(f"{path.name}: fps = {fps}; wanted a recording rate above 0 frames per second")
     check_count(path, count)
     return np.arange(count) / fps
 
@@ -193,7 +195,7 @@ def times_from_rate(
 def check_size(path: Path, width_px: int, height_px: int) -> None:
     """Raise ValueError for a frame size that no camera has, before memory is taken for it."""
     if width_px < 1 or height_px < 1 or width_px * height_px > MAX_PIXELS:
-        raise ValueError(
+        raise InputError(
             f"{path.name}: the header declares frames of {width_px} × {height_px} px; wanted 1 to {MAX_PIXELS} px in all; "
             "the header is broken, or this is not a film"
         )
@@ -202,7 +204,7 @@ def check_size(path: Path, width_px: int, height_px: int) -> None:
 def check_count(path: Path, count: int) -> None:
     """Raise ValueError for more frames than any camera holds, before memory is taken for their times."""
     if count > MAX_FRAMES:
-        raise ValueError(
+        raise InputError(
             f"{path.name}: the header declares {count} frames; wanted {MAX_FRAMES} at most; the header is broken, or this is "
             "not a film"
         )
@@ -217,12 +219,12 @@ def cut_off(path: Path, number: int) -> ValueError:
 
 def _checked_range(path: Path, frame_range: tuple[int, int] | None, count: int) -> tuple[int, int]:
     if count == 0:
-        raise ValueError(
+        raise InputError(
             f"{path.name}: no frame can be read; the file is empty or cut off before the first frame; copy it again"
         )
     first, stop = frame_range or (0, count)
     if not 0 <= first < stop <= count:
-        raise ValueError(
+        raise InputError(
             f"{path.name}: frames = [{first}, {stop}]; the file has {count} frames; wanted 0 <= first < stop <= {count}"
         )
     return first, stop

@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.errors import InputError
 from .clip import Clip, DerivedClip, FillingDerivedClip, FillsFrames, Frame
 
 Response = str | float | None
@@ -53,7 +54,7 @@ def grey_of(light: NDArray[np.float64], response: Response) -> NDArray[np.float6
 
 def _exponent(response: Response) -> float:
     if isinstance(response, str) or response is None or not EXPONENTS[0] <= response <= EXPONENTS[1]:
-        raise ValueError(
+        raise InputError(
             f"response = {response!r}: wanted one of {', '.join(NAMED_RESPONSES)}, or an exponent from {EXPONENTS[0]} to "
             f"{EXPONENTS[1]} (grey = light ** exponent)"
         )

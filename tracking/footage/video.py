@@ -37,6 +37,7 @@ import numpy as np
 from av.sidedata.sidedata import Type as SideDataType
 from numpy.typing import NDArray
 
+from ...model.errors import InputError
 from .reader import AS_STORED, TURNED, Footage, Frame, check_size, times_from_rate
 
 REFUSED_FORMATS = {"tty", "concat", "hls", "dash", "image2", "imf", "webm_dash_manifest"}
@@ -141,7 +142,7 @@ class VideoClip(Footage):
         frame = self._upright(self._decode(number))
         if frame.shape != (self.height_px, self.width_px):
             h, w = frame.shape
-            raise ValueError(
+            raise InputError(
                 f"{self.path.name}: frame {number} has {w} × {h} px; wanted the first one's {self.width_px} × {self.height_px}; "
                 "cut the film where its size changes"
             )
@@ -168,8 +169,8 @@ class VideoClip(Footage):
                     self._next_number = number + 1
                     return frame
         except av.error.FFmpegError as error:
-            raise ValueError(f"{self.path.name}: frame {number} cannot be decoded; {_hint(number)}") from error
-        raise ValueError(f"{self.path.name}: frame {number} is missing from the film; {_hint(number)}")
+            raise InputError(f"{self.path.name}: frame {number} cannot be decoded; {_hint(number)}") from error
+        raise InputError(f"{self.path.name}: frame {number} is missing from the film; {_hint(number)}")
 
     def _decode_from(self, key: int) -> Iterator[tuple[int, av.VideoFrame]]:
         """Frames from a key packet on, each with its place in the film."""
@@ -209,7 +210,7 @@ class VideoClip(Footage):
             except ValueError:
                 count -= 1
         if count == 0:
-            raise ValueError(f"{self.path.name}: no frame can be decoded; the file is empty or damaged, copy it again")
+            raise InputError(f"{self.path.name}: no frame can be decoded; the file is empty or damaged, copy it again")
         return count
 
     def _truncation_notices(self, count: int) -> tuple[str, ...]:
@@ -239,19 +240,19 @@ def _open(path: Path) -> tuple[av.container.InputContainer, av.VideoStream]:
     try:
         container = av.open(f"file:{path.resolve()}", options={"protocol_whitelist": "file"})
     except (av.error.FFmpegError, OSError) as error:
-        raise ValueError(
+        raise InputError(
             f"{path.name}: FFmpeg finds no film in it; give a film, pictures or a Photron header"
         ) from error
     if not container.streams.video or REFUSED_FORMATS & set(container.format.name.split(",")):
         name = container.format.name
         container.close()
-        raise ValueError(
+        raise InputError(
             f"{path.name}: a file of the kind {name!r} holds no film; give a film, pictures or a Photron header"
         )
     stream = container.streams.video[0]
     if stream.codec_context is None:
         container.close()
-        raise ValueError(f"{path.name}: FFmpeg has no decoder for it; save it again, as FFV1 for example")
+        raise InputError(f"{path.name}: FFmpeg has no decoder for it; save it again, as FFV1 for example")
     stream.thread_type = "AUTO"
     return container, stream
 
@@ -423,7 +424,7 @@ def _grey(frame: av.VideoFrame, mono: bool) -> Frame:
         expanded: Frame = _expansion(depth)[luma]
         return expanded
     if re.search(r"f(16|32|64)?(le|be)$", name):
-        raise ValueError(f"pixels of type {name}; wanted whole numbers; convert the film to 8, 12 or 16 bit grey")
+        raise InputError(f"pixels of type {name}; wanted whole numbers; convert the film to 8, 12 or 16 bit grey")
     # All other formats (RGB, palettes, packed YUV) are converted to RGB, which FFmpeg returns at full scale.
     rgb = frame.to_ndarray(format="rgb24" if _bit_depth(frame) == 8 else "rgb48le")
     return np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY))

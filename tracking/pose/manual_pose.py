@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from ...model.die import nearest_equivalent_rotation
+from ...model.errors import InputError
 from ...model.rotations import matrix_from_quat
 from ..picture import View, visible_faces
 from .refine import Pose, pose_prior, pose_state, refine_pose
@@ -92,7 +93,7 @@ def manual_initial_pose(view: View, image: Image, start: ManualInitialisation) -
     confirmed = [pose for pose in found if pose.covariance is not None and pose.support >= LEAST_SUPPORT]
     if not confirmed:
         best = max((pose.support for pose in found), default=0.0)
-        raise ValueError(
+        raise InputError(
             f"start.frame = {start.frame}: the picture shows {100 * best:.0f} % of the contour of a {view.die.solid.name} "
             f"there, wanted at least {100 * LEAST_SUPPORT:.0f} %; check the frame's number, and the pose or clicks"
         )
@@ -113,7 +114,7 @@ def poses_from_clicks(view: View, start: ManualInitialisation) -> list[tuple[Arr
     Raises ValueError if there are too few clicks, or if no pose comes within CLICK_PX of all of them.
     """
     if len(start.clicks) < FEWEST_CLICKS:
-        raise ValueError(f"start.corners has {len(start.clicks)} clicks; wanted {FEWEST_CLICKS} or more")
+        raise InputError(f"start.corners has {len(start.clicks)} clicks; wanted {FEWEST_CLICKS} or more")
     pixels = np.array([click.px for click in start.clicks], float)
     named = [click.vertex for click in start.clicks if click.vertex is not None]
     trials = (
@@ -122,7 +123,7 @@ def poses_from_clicks(view: View, start: ManualInitialisation) -> list[tuple[Arr
     found = sorted(trials, key=lambda trial: trial[0])
     if not found or found[0][0] > CLICK_PX:
         off = f"the nearest is {found[0][0]:.0f} px off" if found else "none lies before the camera"
-        raise ValueError(
+        raise InputError(
             f"start.corners: no pose of a {view.die.solid.name} of this size puts its corners on the {len(pixels)} clicks "
             f"({off}); check the frame's number, the clicks and their vertices"
         )

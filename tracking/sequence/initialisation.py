@@ -23,6 +23,7 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.errors import InputError
 from ...model.rotations import quat_from_matrix, rotation_between
 from ...model.throw import turning_of
 from ..flights import WeightedPoses, fit_flight
@@ -295,7 +296,7 @@ def initial_pose_by_hand(
     k = by_hand.frame - source.first_frame
     if not 0 <= k < len(source) or unused[k]:
         last = source.first_frame + len(source) - 1
-        raise ValueError(
+        raise InputError(
             f"start.frame = {by_hand.frame}: wanted a frame of the clip ({source.first_frame} to {last}), none that is "
             "excluded"
         )

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die
+from ...model.errors import InputError
 from ...model.rotations import continuous_sign, matrix_from_quat, quat_from_matrix
 from ...model.throw import Throw, turning_of
 from ...model.world import GRAVITY_M_S2
@@ -230,12 +231,12 @@ def _view_of(
 def _check_sizes(clip: Clip, camera: Camera, background: Background | None) -> None:
     """Raises ValueError if camera, background and clip differ in size."""
     if (clip.width_px, clip.height_px) != (camera.width_px, camera.height_px):
-        raise ValueError(
+        raise InputError(
             f"the clip is {clip.width_px} × {clip.height_px} pixels and the camera "
             f"{camera.width_px} × {camera.height_px}: give the camera of this clip"
         )
     if background is not None and background.shape != (clip.height_px, clip.width_px):
-        raise ValueError(
+        raise InputError(
             f"the background is {background.shape[1]} × {background.shape[0]} pixels and the clip "
             f"{clip.width_px} × {clip.height_px}: give a frame of this clip without the die"
         )

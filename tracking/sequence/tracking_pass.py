@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from ...model.errors import InputError
 from ...model.rotations import matrix_from_quat, quat_from_matrix
 from ...model.throw import State
 from ..clip_parameters import (
@@ -94,7 +95,7 @@ ROUND_SHARE = 0.25
 """Radius of the corners, as a share of the inscribed radius, of a die that may be rounded and is not found as a sharp one."""
 
 
-class NoDieError(ValueError):
+class NoDieError(InputError):
     """No die was found in the clip."""
 
 

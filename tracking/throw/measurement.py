@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die, inner_vertices, lowest_face
+from ...model.errors import InputError
 from ...model.rotations import angle_between, cross_matrix, matrix_from_quat
 from ...model.throw import Flight, Impact, State, Throw, energy_J
 from ..camera import Camera
@@ -72,7 +73,7 @@ INTERVAL_PERCENT = (2.5, 97.5)
 """Ends of a 95 % interval."""
 
 
-class NoFlightError(ValueError):
+class NoFlightError(InputError):
     """The track holds no flight that could be measured."""
 
 

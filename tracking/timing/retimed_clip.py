@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.errors import InputError
 from ..footage import Clip, DerivedClip, FillingDerivedClip, FillsFrames, Frame
 
 
@@ -13,7 +14,7 @@ def clip_at_times(clip: Clip, times_s: NDArray[np.float64]) -> Clip:
     that do not increase, or are not as many as its frames."""
     times = np.asarray(times_s, np.float64)
     if times.shape != (len(clip),) or not (np.diff(times) > 0.0).all():
-        raise ValueError(f"times of shape {times.shape}: wanted {len(clip)} that increase, one for each frame")
+        raise InputError(f"times of shape {times.shape}: wanted {len(clip)} that increase, one for each frame")
     if np.array_equal(times, clip.times_s):
         return clip
     return _FillingRetimedClip(clip, times) if isinstance(clip, FillsFrames) else _RetimedClip(clip, times)

@@ -1,7 +1,7 @@
 """Failures of a command: one sentence on standard error, and an exit status.
 
-A ValueError or an OSError is a mistake in the input, or a run without a result; its text is the sentence. Any other exception
-is a fault of the program and shows its traceback.
+A DiethrowError is a mistake in the input, or a run without a result, and an OSError one of the machine; its text is the sentence.
+Any other exception, of numpy for example, is a fault of the program: it shows its traceback, and how to report it.
 """
 
 from __future__ import annotations
@@ -21,6 +21,10 @@ MISUSED = 2
 """Exit status of a mistake in a scene or on the command line."""
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as shells have it."""
+FAULT = (
+    "diethrow: this is a fault of the program, not of your input; please report the lines below, with the command, "
+    "`diethrow --version`, and the input if it can be shared"
+)
 RESUMABLE = "no output was left behind; --resume continues from the work done"
 CLIPS_KEPT = "finished clips are kept; the same command continues with the others"
 
@@ -32,11 +36,14 @@ def one_sentence_errors() -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         stop_with_status("stopped; no output was left behind", INTERRUPTED)
-    except (SystemError, RuntimeError) as error:
-        if not _stems_from_interrupt(error):
+    except (typer.Exit, typer.Abort):
+        raise
+    except Exception as error:
+        if isinstance(error, (SystemError, RuntimeError)) and _stems_from_interrupt(error):
+            stop_with_status("stopped; no output was left behind", INTERRUPTED)
+        if not _can_be_mended(error):
+            typer.echo(FAULT, err=True)
             raise
-        stop_with_status("stopped; no output was left behind", INTERRUPTED)
-    except (ValueError, OSError) as error:
         if os.environ.get("DIETHROW_TRACEBACK"):
             raise
         from ..files.outputs import OutputExistsError, OutputPlaceError
@@ -47,12 +54,22 @@ def one_sentence_errors() -> Iterator[None]:
         stop_with_status(" ".join(str(error).split()) or type(error).__name__, MISUSED if misused else FAILED)
 
 
+def _can_be_mended(error: Exception) -> bool:
+    """Whether the user can do something about it."""
+    from ..executors import WorkerLostError
+    from ..model.errors import DiethrowError
+
+    return isinstance(error, (DiethrowError, OSError, WorkerLostError))
+
+
 @contextmanager
 def checked_options() -> Iterator[None]:
     """Report an impossible value of an option in one sentence and stop with MISUSED."""
     try:
         yield
     except ValueError as error:
+        if not _can_be_mended(error):
+            raise
         stop_with_status(" ".join(str(error).split()), MISUSED)
 
 

@@ -147,7 +147,7 @@ def chosen_die(
         return make_die(shape or usual[0], usual[1] if edge_m is None else edge_m, mass_kg), ()
     given = [name for name, value in (("--shape", shape), ("--edge", edge_m), ("--mass", mass_kg)) if value is not None]
     if given:
-        raise ValueError(
+        raise _impossible(
             f"{given[0]} beside --die: wanted one of the two, since the file gives shape, lengths and mass"
         )
     from ..files.die_and_table import read_die
@@ -185,7 +185,7 @@ def two_counts(name: str, text: str) -> tuple[int, int]:
     """`7x5` as two numbers. Raises ValueError, naming the option, for any other text."""
     first, cross, second = text.lower().replace("×", "x").partition("x")
     if not (cross and first.strip().isdecimal() and second.strip().isdecimal()):
-        raise ValueError(f"{name} = {text}; wanted two whole numbers with an x between them, as in 7x5")
+        raise _impossible(f"{name} = {text}; wanted two whole numbers with an x between them, as in 7x5")
     return int(first), int(second)
 
 
@@ -213,7 +213,7 @@ def choices_of(
     )
     for name in on_trial or ():
         if name not in EFFECTS:
-            raise ValueError(
+            raise _impossible(
                 f"--effects {effects}: {name!r} is no effect; wanted some of {', '.join(EFFECTS)}, or none"
             )
 
@@ -225,7 +225,7 @@ def choices_of(
         text = str(error)
         for name in ("misfit_limit", "usual_friction"):
             text = text.replace(name, f"--{name.replace('_', '-')}")
-        raise ValueError(text) from error
+        raise _impossible(text) from error
 
 
 def _number_or_none(text: str) -> float | None:
@@ -235,15 +235,15 @@ def _number_or_none(text: str) -> float | None:
     try:
         return float(text)
     except ValueError:
-        raise ValueError(f"usual_friction = {text}: wanted a coefficient of friction, or none") from None
+        raise _impossible(f"usual_friction = {text}: wanted a coefficient of friction, or none") from None
 
 
 def check_half_width(chi_within: float | None, trade_file: Path | None = None) -> None:
     """Raise ValueError, naming the option, for a half-width that is none, and for measurements without one."""
     if chi_within is not None and not 0.0 < chi_within < 1.0:
-        raise ValueError(f"--chi-within {chi_within:g}: wanted a half-width of χ between 0 and 1, such as 0.01")
+        raise _impossible(f"--chi-within {chi_within:g}: wanted a half-width of χ between 0 and 1, such as 0.01")
     if trade_file is not None and chi_within is None:
-        raise ValueError("--trade needs --chi-within; state the wanted half-width of χ, as in --chi-within 0.01")
+        raise _impossible("--trade needs --chi-within; state the wanted half-width of χ, as in --chi-within 0.01")
 
 
 def given_option(name: str, value: float | str | None, default: float | str | None) -> tuple[str, ...]:
@@ -262,3 +262,10 @@ def flag_words(name: str, given: bool) -> tuple[str, ...]:
 
 def output_words(out: Path, force: bool) -> tuple[str, ...]:
     return ("--out", str(out), *(("--force",) if force else ()))
+
+
+def _impossible(text: str) -> ValueError:
+    """The error of an impossible option; its module loads the numerical libraries."""
+    from ..model.errors import InputError
+
+    return InputError(text)

@@ -27,6 +27,7 @@ import numpy as np
 from ..fitting.predict import Estimate
 from ..fitting.results import Fit, Parameter
 from ..fitting.throw import throw_of_fit
+from ..model.errors import InputError
 from ..model.throw import Throw, turning_of
 from ..replay.elements import Record, ReportDetails
 from ..tracking.camera import Camera
@@ -124,7 +125,7 @@ def read_analysis(folder: Path) -> AnalysedThrow:
     path = folder / "analysis.json"
     data, origin = read_json(path), read_json(folder / "provenance.json")
     if data.get("format") != FORMAT:
-        raise ValueError(
+        raise InputError(
             f"{path}: format {data.get('format')}; this version reads {FORMAT}: load it with the one that wrote it"
         )
     scene = _scene_of(origin, folder)
@@ -153,7 +154,7 @@ def read_analysis(folder: Path) -> AnalysedThrow:
         findings = tuple(_finding(one) for one in data["findings"])
         numbers = tuple(data["face_numbers"])
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path}: {error!r}; wanted the analysis.json that analyze writes") from error
+        raise InputError(f"{path}: {error!r}; wanted the analysis.json that analyze writes") from error
     return AnalysedThrow(
         record,
         ReportDetails(tracked.frames, findings, origin),
@@ -196,7 +197,7 @@ def _scene_of(origin: Mapping[str, Any], folder: Path) -> Scene:
     try:
         return recorded_scene(understood["text"], Path(origin["folder"], understood["path"]))
     except (KeyError, OSError, SceneError) as error:
-        raise ValueError(f"{folder / 'provenance.json'}: its scene cannot be read again: {error}") from error
+        raise InputError(f"{folder / 'provenance.json'}: its scene cannot be read again: {error}") from error
 
 
 def _nothing(track: Track) -> Track:

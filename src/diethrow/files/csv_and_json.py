@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..model.errors import InputError
+
 MAX_FILE_BYTES = 2**27
 """A table of a track of 300 000 frames. A larger file is refused before it fills the memory."""
 MAX_CELL_CHARACTERS = 1000
@@ -78,10 +80,10 @@ class Table:
             values[k] = [self.number(k, column) for column in columns]
         return values
 
-    def error(self, row: int, column: str, wanted: str) -> ValueError:
+    def error(self, row: int, column: str, wanted: str) -> InputError:
         """The error for a cell."""
         value = self.rows[row][column][:MAX_QUOTED_CHARACTERS]
-        return ValueError(f"{self.path}: {column} = {value!r} in row {row + 1}; wanted {wanted}")
+        return InputError(f"{self.path}: {column} = {value!r} in row {row + 1}; wanted {wanted}")
 
 
 def write_table(path: Path, columns: Sequence[str], rows: Iterable[Iterable[Any]]) -> None:
@@ -104,17 +106,17 @@ def read_table(path: Path, required: Sequence[str], *, allowed: Sequence[str] | 
             names = tuple(reader.fieldnames or ())
             missing = [name for name in required if name not in names]
             if missing:
-                raise ValueError(f"{path}: column {missing[0]} is missing; wanted {','.join(required)}")
+                raise InputError(f"{path}: column {missing[0]} is missing; wanted {','.join(required)}")
             empty = dict.fromkeys(allowed or required, "")
             rows = [{**empty, **{name: (row[name] or "").strip() for name in names}} for row in reader]
     except FileNotFoundError as error:
         raise FileNotFoundError(f"{path}: there is no such file; wanted a CSV table") from error
     except (UnicodeDecodeError, csv.Error) as error:
-        raise ValueError(f"{path}: not a CSV table in UTF-8 ({error})") from error
+        raise InputError(f"{path}: not a CSV table in UTF-8 ({error})") from error
     for k, row in enumerate(rows):
         for name, cell in row.items():
             if len(cell) > MAX_CELL_CHARACTERS:
-                raise ValueError(
+                raise InputError(
                     f"{path}: {name} has {len(cell)} characters in row {k + 1}; wanted {MAX_CELL_CHARACTERS} at most"
                 )
     return Table(path, rows)
@@ -134,7 +136,7 @@ def read_json(path: Path) -> Any:
     except FileNotFoundError as error:
         raise FileNotFoundError(f"{path}: there is no such file; wanted a JSON file") from error
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-        raise ValueError(f"{path}: not valid JSON ({error})") from error
+        raise InputError(f"{path}: not valid JSON ({error})") from error
 
 
 def plain(data: Any) -> Any:
@@ -162,6 +164,6 @@ def _cell(value: Any) -> str:
 def _check_size(path: Path) -> None:
     size = path.stat().st_size
     if size > MAX_FILE_BYTES:
-        raise ValueError(
+        raise InputError(
             f"{path}: {size} bytes; wanted {MAX_FILE_BYTES} at most; give a table or a JSON file of a result"
         )

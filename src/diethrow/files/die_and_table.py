@@ -20,6 +20,7 @@ from ..model.die import (
     named_solid,
     solid_from_mesh,
 )
+from ..model.errors import InputError
 from ..model.laws import Table as ModelTable
 from ..model.world import GRAVITY_M_S2
 from .settings import (
@@ -89,27 +90,27 @@ class Table:
 
 def _known_shape(value: str) -> str:
     if value not in SOLID_KINDS and not is_mesh(value):
-        raise ValueError("unknown shape")
+        raise InputError("unknown shape")
     return value
 
 
 def _radius_or_estimate(value: float | str) -> float | str:
     if isinstance(value, str):
         if value != ESTIMATE:
-            raise ValueError("no such word")
+            raise InputError("no such word")
         return value
     return not_negative(value)
 
 
 def _known_marks(value: str) -> str:
     if value not in ("pips", "numbers"):
-        raise ValueError("unknown marks")
+        raise InputError("unknown marks")
     return value
 
 
 def _gravity(value: float) -> float:
     if not GRAVITY_RANGE_M_S2[0] <= value <= GRAVITY_RANGE_M_S2[1]:
-        raise ValueError("out of range")
+        raise InputError("out of range")
     return value
 
 

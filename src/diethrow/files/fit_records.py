@@ -24,6 +24,7 @@ from ..fitting.results import (
     Parameter,
     ParameterCovariance,
 )
+from ..model.errors import InputError
 from ..model.laws import CoulombImpact, FrictionBySpeed, Restitution, RestitutionBySpeed, SmoothImpact
 from ..model.rotations import euler_from_quat, matrix_from_quat
 from ..model.throw import State
@@ -125,18 +126,18 @@ def read_parameters(path: Path) -> tuple[dict[str, Parameter], Restitution]:
     try:
         parameters = {str(name): Parameter(**values) for name, values in data["parameters"].items()}
     except (KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"{path}: not a fit ({error!r}); {NOT_A_FIT}") from error
+        raise InputError(f"{path}: not a fit ({error!r}); {NOT_A_FIT}") from error
     for name, parameter in parameters.items():
         if not isinstance(parameter.value, (int, float)) or not math.isfinite(parameter.value):
-            raise ValueError(f"{path}: parameters.{name}.value = {parameter.value}; wanted a fit that determined it")
+            raise InputError(f"{path}: parameters.{name}.value = {parameter.value}; wanted a fit that determined it")
     law = data.get("law", law_table(parameters))
     if not isinstance(law, dict):
-        raise ValueError(f"{path}: law = {law}; wanted a table")
+        raise InputError(f"{path}: law = {law}; wanted a table")
     found = law.get("restitution")
     kind: Restitution = found if "mu" in parameters and found in RESTITUTION_MEANINGS else "stronge"
     for key, wanted in law_table(parameters, kind).items():
         if key != "words" and law.get(key) != wanted:
-            raise ValueError(f"{path}: law.{key} = {law.get(key)}; wanted {wanted}")
+            raise InputError(f"{path}: law.{key} = {law.get(key)}; wanted {wanted}")
     return parameters, kind
 
 
@@ -167,17 +168,17 @@ def read_errors(path: Path) -> tuple[ParameterCovariance | None, Misfit | None]:
         if covariance is not None:
             names, matrix = covariance["names"], np.array(covariance["matrix"], float)
             if matrix.shape != (len(names),) * 2 or not np.isfinite(matrix).all():
-                raise ValueError(f"covariance of shape {matrix.shape} for {len(names)} names")
+                raise InputError(f"covariance of shape {matrix.shape} for {len(names)} names")
             rows = [k for k, name in enumerate(names) if name not in STATE_NAMES]
             found = ParameterCovariance(tuple(names[k] for k in rows), matrix[np.ix_(rows, rows)])
         if misfit is None:
             return found, None
         columns = [np.array(misfit[name], float) for name in ("t_s", "position_m", "rotation_rad")]
         if len({column.shape for column in columns}) > 1 or columns[0].ndim != 1 or (np.diff(columns[0]) < 0.0).any():
-            raise ValueError("misfit without as many positions and rotations as times, in order")
+            raise InputError("misfit without as many positions and rotations as times, in order")
         return found, Misfit(*columns)
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path}: {error}; {NOT_A_FIT}") from error
+        raise InputError(f"{path}: {error}; {NOT_A_FIT}") from error
 
 
 def read_fit(path: Path) -> Fit:
@@ -205,7 +206,7 @@ def read_fit(path: Path) -> Fit:
             fitted_until_s=data.get("model", {}).get("fitted_until_s"),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ValueError(f"{path}: not a fit ({error!r}); {NOT_A_FIT}") from error
+        raise InputError(f"{path}: not a fit ({error!r}); {NOT_A_FIT}") from error
 
 
 def _choices(table: Mapping[str, Any]) -> Choices:

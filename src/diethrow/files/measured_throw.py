@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.die import Die
+from ..model.errors import InputError
 from ..model.throw import Flight, Impact, Throw, turning_of
 from ..tracking.clip_parameters import CornerRounding
 from ..tracking.flights import packed, unpacked
@@ -101,12 +102,12 @@ def read_measured_throw(track_path: Path, frames: Track, die: Die, rounding: Cor
         with path.open("rb") as file, np.load(file, allow_pickle=False) as data:
             arrays = {name: data[name] for name in data.files}
         if int(arrays["format"]) != FORMAT:
-            raise ValueError(f"format {int(arrays['format'])}, wanted {FORMAT}")
+            raise InputError(f"format {int(arrays['format'])}, wanted {FORMAT}")
         if rounding is not CornerRounding.GIVEN and float(arrays["corner_radius_m"]) != die.corner_radius_m:
             die = die.with_corner_radius(float(arrays["corner_radius_m"]))
         found = _tracked_throw(arrays, frames, die)
     except (OSError, ValueError, KeyError, IndexError, TypeError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path}: not what belongs to {track_path.name} ({error}); {advice}") from error
+        raise InputError(f"{path}: not what belongs to {track_path.name} ({error}); {advice}") from error
     return found
 
 
@@ -114,9 +115,9 @@ def _tracked_throw(arrays: dict[str, NDArray], frames: Track, die: Die) -> Track
     """What the arrays of a file hold. Raises ValueError where they do not fit each other or the frames."""
     n, count = len(frames), len(arrays["flight_end_s"])
     if not np.array_equal(arrays["frame"], frames.frame):
-        raise ValueError(f"frames of its own: {len(arrays['frame'])}, and {n} in the table")
+        raise InputError(f"frames of its own: {len(arrays['frame'])}, and {n} in the table")
     if float(arrays["gravity_m_s2"]) != frames.gravity_m_s2:
-        raise ValueError(
+        raise InputError(
             f"tracked with gravity_m_s2 = {float(arrays['gravity_m_s2']):g}, the scene has {frames.gravity_m_s2:g}"
         )
     m = len(arrays["shared_subtracted"])
@@ -132,10 +133,10 @@ def _tracked_throw(arrays: dict[str, NDArray], frames: Track, die: Die) -> Track
     }
     for name, shape in wanted.items():
         if arrays[name].shape != shape:
-            raise ValueError(f"{name} of shape {arrays[name].shape}, wanted {shape}")
+            raise InputError(f"{name} of shape {arrays[name].shape}, wanted {shape}")
     sources = tuple(str(source) for source in arrays["shared_sources"])
     if not set(sources) <= {CALIBRATION, DIE, CLOCK}:
-        raise ValueError(f"shared_sources {sources}, wanted {CALIBRATION}, {DIE} or {CLOCK}")
+        raise InputError(f"shared_sources {sources}, wanted {CALIBRATION}, {DIE} or {CLOCK}")
     flights, turning = [], turning_of(die)
     for state, end_s, covariance in zip(
         arrays["flight_state"], arrays["flight_end_s"], arrays["flight_covariance"], strict=True

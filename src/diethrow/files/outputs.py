@@ -21,6 +21,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
+from ..model.errors import DiethrowError
+
 try:
     import fcntl
 except ImportError:  # Windows has no such locks: there, two runs on one output are not kept apart
@@ -42,11 +44,11 @@ NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
 """Errors of file systems without locks; there, two runs on one output are not kept apart."""
 
 
-class OutputExistsError(FileExistsError):
+class OutputExistsError(DiethrowError, FileExistsError):
     """The output exists already and may not be replaced."""
 
 
-class OutputPlaceError(OSError):
+class OutputPlaceError(DiethrowError, OSError):
     """The output cannot be written at its place."""
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
 from ..model.die import Die
+from ..model.errors import InputError
 from ..model.laws import CoulombImpact, SmoothImpact
 from ..model.laws import Table as ModelTable
 from ..model.rotations import matrix_from_quat, quat_from_euler
@@ -119,13 +120,13 @@ def read_plan(path: Path) -> Plan:
 
 def _restitution(value: float) -> float:
     if not 0 <= value <= 1:
-        raise ValueError("outside 0 to 1")
+        raise InputError("outside 0 to 1")
     return value
 
 
 def _within_a_turn(values: list[float]) -> list[float]:
     if any(abs(value) > 2 * np.pi for value in values):
-        raise ValueError("more than a turn")
+        raise InputError("more than a turn")
     return values
 
 

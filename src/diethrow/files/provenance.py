@@ -18,6 +18,7 @@ from typing import Any
 
 from .. import __version__
 from ..model.die import Die
+from ..model.errors import DiethrowError
 from .csv_and_json import read_json, write_json
 
 PACKAGES = (
@@ -62,7 +63,7 @@ class Stopwatch:
             LOGGER.info("%s: %.3f s", name, passed)
 
 
-class InputChangedError(OSError):
+class InputChangedError(DiethrowError, OSError):
     """An input changed after the run began."""
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
 from ..model.die import Die
+from ..model.errors import InputError
 from ..model.world import GRAVITY_M_S2
 from ..tracking.calibration import INTRINSICS, JOINT
 from ..tracking.camera import Camera
@@ -241,33 +242,33 @@ PATH_WANTED = "the path of the footage, relative to the scene file"
 
 def _known_response(value: float | str) -> float | str:
     if isinstance(value, str) and value not in NAMED_RESPONSES:
-        raise ValueError("no such word")
+        raise InputError("no such word")
     if not isinstance(value, str) and not EXPONENTS[0] <= value <= EXPONENTS[1]:
-        raise ValueError("out of range")
+        raise InputError("out of range")
     return value
 
 
 def _rising(value: list[int]) -> list[int]:
     if not 0 <= value[0] < value[1]:
-        raise ValueError("not rising")
+        raise InputError("not rising")
     return value
 
 
 def _unit_length(value: list[float]) -> list[float]:
     if abs(float(np.linalg.norm(value)) - 1.0) > ROTATION_TOLERANCE:
-        raise ValueError("not of length 1")
+        raise InputError("not of length 1")
     return value
 
 
 def _pair(value: list[float]) -> list[float]:
     if len(value) != 2:
-        raise ValueError("not two numbers")
+        raise InputError("not two numbers")
     return value
 
 
 def _not_empty(value: str) -> str:
     if not value.strip() or "\0" in value:
-        raise ValueError("empty")
+        raise InputError("empty")
     return value
 
 
@@ -488,17 +489,17 @@ def _stated_covariance(file: Path, camera: Camera) -> Array:
         table = record["table"]
         pose = None if table is None else (np.array(table["rotation"], float), np.array(table["translation_m"], float))
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{file.name} is no record of a calibration ({type(error).__name__}: {error})") from error
+        raise InputError(f"{file.name} is no record of a calibration ({type(error).__name__}: {error})") from error
     covariance = np.zeros((len(JOINT), len(JOINT)))
     if stated.shape != (len(names), len(names)) or not np.isfinite(stated).all():
-        raise ValueError(f"{file.name} has a covariance of shape {stated.shape} for {len(names)} numbers")
+        raise InputError(f"{file.name} has a covariance of shape {stated.shape} for {len(names)} numbers")
     if (np.diag(stated) < 0.0).any():
-        raise ValueError(f"{file.name} has a variance below 0")
+        raise InputError(f"{file.name} has a variance below 0")
     covariance[np.ix_(names, names)] = stated
     K = camera.matrix
     own = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *camera.distortion])
     if not np.allclose(values, own, rtol=SAME_NUMBER, atol=SAME_NUMBER):
-        raise ValueError(f"{file.name} is of a camera with another matrix or distortion")
+        raise InputError(f"{file.name} is of a camera with another matrix or distortion")
     found = covariance[:CAMERA_ERRORS, :CAMERA_ERRORS]
     if pose is None:
         pose_errors = slice(len(INTRINSICS), CAMERA_ERRORS)
@@ -507,7 +508,7 @@ def _stated_covariance(file: Path, camera: Camera) -> Array:
         np.allclose(pose[0], camera.rotation, atol=ROTATION_TOLERANCE)
         and np.allclose(pose[1], camera.translation_m, atol=SAME_NUMBER)
     ):
-        raise ValueError(f"{file.name} is of a camera at another place")
+        raise InputError(f"{file.name} is of a camera at another place")
     return found
 
 

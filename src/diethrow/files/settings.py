@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
+from ..model.errors import InputError
+
 Array = NDArray[np.float64]
 AnyTable = TypeVar("AnyTable", bound="TomlTable")
 
@@ -29,7 +31,7 @@ MIN_SIMILARITY = 0.6
 """Of an unknown key to a known one (`difflib`) for which the error suggests it."""
 
 
-class SceneError(ValueError):
+class SceneError(InputError):
     """A scene or throw file that cannot be used; the text names file, key and value, and what is accepted."""
 
 
@@ -44,7 +46,7 @@ def _shaped(*shape: int) -> Callable[[list[Any]], list[Any]]:
         lengths = [value, *(value if len(shape) == 2 else [])]
         wanted = [shape[0], *([shape[1]] * len(value) if len(shape) == 2 else [])]
         if [len(part) for part in lengths] != wanted:
-            raise ValueError("wrong shape")
+            raise InputError("wrong shape")
         return value
 
     return check
@@ -59,13 +61,13 @@ Matrix3 = Annotated[list[list[float]], AfterValidator(_shaped(3, 3))]
 
 def _positive(value: float) -> float:
     if not value > 0:
-        raise ValueError("not above 0")
+        raise InputError("not above 0")
     return value
 
 
 def not_negative(value: float) -> float:
     if value < 0:
-        raise ValueError("below 0")
+        raise InputError("below 0")
     return value
 
 

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.die import Solid
+from ..model.errors import InputError
 from ..model.rotations import continuous_sign
 from ..model.throw import EVEN, Impact, Throw, Turning
 from ..model.world import GRAVITY_M_S2
@@ -114,23 +115,23 @@ def read_track(path: Path, gravity_m_s2: float = GRAVITY_M_S2, turning: Turning 
     """
     table = read_table(path, (*POSE_COLUMNS, "status"), allowed=TRACK_COLUMNS)
     if not len(table):
-        raise ValueError(f"{path}: the table has no rows; wanted one row a frame")
+        raise InputError(f"{path}: the table has no rows; wanted one row a frame")
     status = np.array([table.text(k, "status", STATUSES) for k in range(len(table))])
     known = status == TRACKED
     frame, time_s = _frames_and_times(table)
     if (np.diff(time_s) <= 0).any():
         k = int(np.argmax(np.diff(time_s) <= 0)) + 1
-        raise ValueError(f"{path}: t_s = {time_s[k]} in row {k + 1} does not rise; wanted times in order")
+        raise InputError(f"{path}: t_s = {time_s[k]} in row {k + 1} does not rise; wanted times in order")
     if (np.diff(frame) <= 0).any():
         k = int(np.argmax(np.diff(frame) <= 0)) + 1
-        raise ValueError(
+        raise InputError(
             f"{path}: frame = {frame[k]} in row {k + 1}, after {frame[k - 1]}; wanted frame numbers in order, each of them once"
         )
     position, quaternion = table.numbers(POSITION_COLUMNS, known), table.numbers(QUATERNION_COLUMNS, known)
     lengths = np.linalg.norm(quaternion[known], axis=1)
     if (abs(lengths - 1.0) > MAX_LENGTH_ERROR).any():
         k = int(np.flatnonzero(known)[np.argmax(abs(lengths - 1.0))])
-        raise ValueError(f"{path}: qw to qz in row {k + 1} have length {np.linalg.norm(quaternion[k]):.6g}; wanted 1")
+        raise InputError(f"{path}: qw to qz in row {k + 1} have length {np.linalg.norm(quaternion[k]):.6g}; wanted 1")
     covariance = _covariance(table, known)
     return Track(
         frame, time_s, position, quaternion, covariance, status, gravity_m_s2=gravity_m_s2, turning=turning
@@ -212,14 +213,14 @@ def _covariance_in(path: Path, count: int) -> Array:
             read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
             shape, _, dtype = read_header[version](file)
         if dtype.kind != "f":
-            raise ValueError(f"{path}: not an array of numbers ({dtype}); {wanted}")
+            raise InputError(f"{path}: not an array of numbers ({dtype}); {wanted}")
         if shape != (count, 6, 6):
-            raise ValueError(f"{path}: {dtype} of shape {shape}; {wanted}")
+            raise InputError(f"{path}: {dtype} of shape {shape}; {wanted}")
         covariance = np.load(path, allow_pickle=False)
     except NPY_ERRORS as error:
         reason = str(error)[:MAX_REASON_CHARACTERS]
         own = reason.startswith(str(path))
-        raise ValueError(reason if own else f"{path}: not an array of numbers ({reason}); {wanted}") from error
+        raise InputError(reason if own else f"{path}: not an array of numbers ({reason}); {wanted}") from error
     return np.asarray(covariance, np.float64)
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import __version__
+from ..model.errors import InputError
 from .csv_and_json import plain
 from .outputs import OutputPlaceError
 from .provenance import as_tables
@@ -51,9 +52,9 @@ class WorkFile:
             with self.path.open("rb") as handle, np.load(handle, allow_pickle=False) as file:
                 kept = {name: file[name] for name in file.files}
         except (ValueError, EOFError, zipfile.BadZipFile) as error:
-            raise ValueError(f"{self.path}: not a work file ({error}); delete it, or leave --resume out") from error
+            raise InputError(f"{self.path}: not a work file ({error}); delete it, or leave --resume out") from error
         if str(kept.pop("digest", "")) != self.digest:
-            raise ValueError(
+            raise InputError(
                 f"{self.path} belongs to a run with other settings or of another version; "
                 "give the settings of that run, or leave --resume out to start again"
             )

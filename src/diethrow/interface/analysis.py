@@ -22,6 +22,7 @@ from ..files.analysis_folder import AnalysedThrow, read_analysis, write_values
 from ..files.csv_and_json import write_json
 from ..files.outputs import whole_folder
 from ..files.scene import Scene, read_scene
+from ..model.errors import InputError
 from ..runs import PLAIN, Progress, Shown, silent
 
 if TYPE_CHECKING:
@@ -217,7 +218,7 @@ class Plots:
         figures = {figure.name: figure for figure in report_figures(self.analysis.record, self.analysis.details)}
         figure = figures.get(name) or figures.get(otherwise)
         if figure is None:
-            raise ValueError(f"{name}: this analysis has no data for the figure; it has {', '.join(figures)}")
+            raise InputError(f"{name}: this analysis has no data for the figure; it has {', '.join(figures)}")
         if ax is None:
             from matplotlib import pyplot as plt
 

@@ -16,6 +16,7 @@ from .. import __version__
 from ..files.csv_and_json import write_json
 from ..files.outputs import whole_folder
 from ..files.provenance import Stopwatch, write_provenance
+from ..model.errors import InputError
 from .basin_boundaries import fig_6, fig_7
 from .bounces_to_rest import bounces
 from .corner_sequences import fig_5
@@ -59,7 +60,7 @@ class Replication:
 def plan_of(quick: bool, seed: int) -> PaperPlan:
     """The plan of the full or the quick run. Raises ValueError for a negative seed."""
     if seed < 0:
-        raise ValueError(f"seed {seed}: wanted 0 or more")
+        raise InputError(f"seed {seed}: wanted 0 or more")
     return PaperPlan(QUICK if quick else FULL, seed, quick)
 
 

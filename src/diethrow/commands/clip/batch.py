@@ -25,6 +25,7 @@ from ...files.outputs import OutputExistsError, OutputPlaceError, locked, refuse
 from ...files.provenance import InputChangedError, files_read
 from ...files.scene import Scene, read_scene
 from ...files.settings import SceneError
+from ...model.errors import InputError
 from .run_options import USUAL_OPTIONS, RunOptions, Stage
 
 ATTEMPTS = 3
@@ -138,7 +139,7 @@ def run_batch(
     OutputPlaceError if it cannot be written.
     """
     if not scenes:
-        raise ValueError("no scenes: wanted one scene file or more")
+        raise InputError("no scenes: wanted one scene file or more")
     out = Path(out).resolve()
     tasks = tasks_of(scenes, out, stage, options, allow_outside)
     if not out.is_dir():

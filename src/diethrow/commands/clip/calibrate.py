@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ...files.csv_and_json import write_json
 from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, write_provenance
+from ...model.errors import InputError
 from ...replay.pages import calibration_page
 from ...tracking.calibration import (
     INTRINSICS,
@@ -111,7 +112,7 @@ def _common_size(greys: list[tuple[str, Frame]]) -> tuple[int, int]:
     shape = greys[0][1].shape
     for name, grey in greys:
         if grey.shape != shape:
-            raise ValueError(
+            raise InputError(
                 f"{name}: the picture is {grey.shape[1]} × {grey.shape[0]} px and {greys[0][0]} {shape[1]} × {shape[0]}; "
                 "take all pictures with the camera settings of the clips"
             )
@@ -124,7 +125,7 @@ def _seen(views: list[BoardView | None]) -> list[BoardView]:
 
 def _demand_table(table: Path | None, missing: tuple[Path, ...]) -> None:
     if table is not None and table in missing:
-        raise ValueError(
+        raise InputError(
             f"{table}: no board is found on the picture of the table; check --board, --squares and --dictionary, "
             "or take it again, sharp and without glare"
         )

@@ -35,6 +35,7 @@ from ...fitting.predict import (
 from ...fitting.results import STATE_NAMES, Misfit, Parameter, ParameterCovariance
 from ...fitting.throw import Physics, physics_of_fit
 from ...model.die import Die
+from ...model.errors import InputError
 from ...model.laws import Restitution, Table
 from ...model.rotations import angle_between, continuous_sign
 from ...model.throw import turning_of
@@ -83,10 +84,10 @@ def predict_tracks(
     law = read_law(fit_path)
     physics_of(law, scene.die, scene.table.in_model)  # refuses what concerns every track
     if from_frame != FIRST_BOUNCE and not from_frame.isdecimal():
-        raise ValueError(f"--from-frame {from_frame}: wanted a frame number, or {FIRST_BOUNCE}")
+        raise InputError(f"--from-frame {from_frame}: wanted a frame number, or {FIRST_BOUNCE}")
     names = [path.stem for path in track_paths]
     if len(set(names)) < len(names):
-        raise ValueError(
+        raise InputError(
             f"two tracks are called {max(names, key=names.count)}: wanted names that differ, one file each"
         )
     inputs = (*scene.settings_paths, fit_path, *track_paths, *_beside(track_paths))
@@ -185,7 +186,7 @@ def predicted_track(analysis: AnalysedThrow, from_frame: int | None) -> Track:
     fit, die, frames = analysis.result, analysis.record.die, analysis.details.frames
     assert frames is not None
     if fit.parameters["chi"].value is None:
-        raise ValueError("chi was not determined; wanted a fit through one bounce or more")
+        raise InputError("chi was not determined; wanted a fit through one bounce or more")
     physics = physics_of_fit(fit, die, analysis.scene.table.in_model)
     row = first_bounce_row(frames, die) if from_frame is None else _row_of(frames, from_frame)
     release = release_before(frames, physics.body, row)
@@ -216,7 +217,7 @@ def read_law(fit_path: Path) -> Law:
     """The law of a fit. Raises ValueError for a file that is no fit, or lacks χ."""
     parameters, restitution = read_parameters(fit_path)
     if "chi" not in parameters:
-        raise ValueError(f"{fit_path}: parameters.chi is missing; wanted the fit.json that a fit writes")
+        raise InputError(f"{fit_path}: parameters.chi is missing; wanted the fit.json that a fit writes")
     return Law(fit_path, parameters, restitution, *read_errors(fit_path))
 
 
@@ -228,10 +229,10 @@ def physics_of(law: Law, die: Die, table: Table) -> Physics:
         try:
             low, high = physics.bounds(name)
         except KeyError:
-            raise ValueError(f"{law.path}: parameters.{name} is not a parameter of a throw") from None
+            raise InputError(f"{law.path}: parameters.{name} is not a parameter of a throw") from None
         assert parameter.value is not None
         if not low <= parameter.value <= high:
-            raise ValueError(f"{law.path}: parameters.{name}.value = {parameter.value}; wanted {low:g} to {high:g}")
+            raise InputError(f"{law.path}: parameters.{name}.value = {parameter.value}; wanted {low:g} to {high:g}")
         values[name] = float(parameter.value)
     return physics.with_values(**values)
 
@@ -240,7 +241,7 @@ def _row_of(track: Track, frame: int) -> int:
     """The first row of a track with this frame number or a later one."""
     later = np.flatnonzero(track.frame >= frame)
     if not len(later):
-        raise ValueError(
+        raise InputError(
             f"--from-frame {frame} lies behind the last frame, {int(track.frame[-1])}; wanted a frame of the track"
         )
     return int(later[0])

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from ...model.errors import InputError
+
 Stage = Literal["analyze", "track"]
 
 
@@ -35,7 +37,7 @@ class RunOptions:
         own = self.words("track")
         for word in self.words("analyze"):
             if word.startswith("--") and word not in own:
-                raise ValueError(f"{word} beside --only-track: the tracking stage has no such option; leave it out")
+                raise InputError(f"{word} beside --only-track: the tracking stage has no such option; leave it out")
 
     def arguments(self, stage: Stage) -> dict[str, Any]:
         """The same as arguments of `analyze` or of `track_only`. Raises ValueError for a value that is none."""
@@ -47,7 +49,7 @@ class RunOptions:
 
         for name, known in (("quality", QUALITIES), ("timing", TIMINGS), ("intervals", INTERVAL_METHODS)):
             if getattr(self, name) not in known:
-                raise ValueError(f"--{name} {getattr(self, name)}: wanted {', '.join(known)}")
+                raise InputError(f"--{name} {getattr(self, name)}: wanted {', '.join(known)}")
         tracking = {
             "quality": QUALITIES[self.quality],
             "decimation": Decimation(self.every, self.shrink),

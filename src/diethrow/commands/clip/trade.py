@@ -43,6 +43,7 @@ from ...fitting.results import Choices, Fit, IntervalMethod, Parameter
 from ...fitting.throw import INTERVAL_LEVEL, fit_throw
 from ...model.die import Die, die_symmetries
 from ...model.ensembles import ThrowSetup, stepped_landings
+from ...model.errors import InputError
 from ...model.laws import SmoothImpact
 from ...model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply
 from ...model.throw import Precision, State, Throw
@@ -123,7 +124,7 @@ def trade(
     `within` outside (0, 1).
     """
     if not 0.0 < within < 1.0:
-        raise ValueError(f"within = {within}: wanted a half-width of χ between 0 and 1, such as 0.01")
+        raise InputError(f"within = {within}: wanted a half-width of χ between 0 and 1, such as 0.01")
     watch = Stopwatch()
     check_scene(scene)
     paths = input_paths(scene)
@@ -141,7 +142,7 @@ def read_trade(path: Path) -> tuple[Setting, ...]:
         data = json.loads(Path(path).read_text(encoding="utf-8"))
         return tuple(Setting(**{**row, "options": tuple(row["options"])}) for row in data["settings"])
     except (KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(
+        raise InputError(
             f"{path}: not a trade file ({error}); wanted the trade.json that diethrow trade writes"
         ) from error
 
@@ -151,7 +152,7 @@ def setting_from(measured: Path, within: float) -> tuple[str, Decimation]:
     enough."""
     best = fastest_within([s for s in read_trade(measured) if s.kind == "tracking"], within)
     if best is None:
-        raise ValueError(f"{measured}: no setting in it gives χ to ±{within:g}; ask for less, or use --quality fine")
+        raise InputError(f"{measured}: no setting in it gives χ to ±{within:g}; ask for less, or use --quality fine")
     return best.choice
 
 
@@ -180,7 +181,7 @@ def setting_for(
             return quality, Decimation(every, shrink)
         narrowest = min(width, narrowest or np.inf) if width is not None else narrowest
     reached = "leaves χ undetermined" if narrowest is None else f"gives ±{narrowest:.2g}"
-    raise ValueError(
+    raise InputError(
         f"{scene.path}: no setting determines χ to ±{within:g}, the best {reached}; film more bounces, or widen --chi-within"
     )
 
@@ -326,7 +327,7 @@ def _true_chi(scene: Scene) -> float | None:
     try:
         return float(tomllib.loads(path.read_text(encoding="utf-8"))["truth"]["chi"])
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path}: no χ in it ({error}); wanted chi under [truth], or no such file") from error
+        raise InputError(f"{path}: no χ in it ({error}); wanted chi under [truth], or no such file") from error
 
 
 # --- fits -------------------------------------------------------------------------------------------------------------

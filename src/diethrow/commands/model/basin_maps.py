@@ -34,6 +34,7 @@ from ...model.ensembles import (
     map_rows,
     uncertainty_exponent,
 )
+from ...model.errors import InputError
 from ...model.laws import LEVEL, Table
 from ...replay.figures import ball_measures, basin_map, colours_of, uncertain_shares
 from .face_odds import impact_law_of, share_table
@@ -86,9 +87,9 @@ class BasinsPlan:
 
     def __post_init__(self) -> None:
         if self.at_impact is not None and not 1 <= self.at_impact <= MAX_AT_IMPACT:
-            raise ValueError(f"at impact {self.at_impact}: wanted a number from 1 to {MAX_AT_IMPACT}")
+            raise InputError(f"at impact {self.at_impact}: wanted a number from 1 to {MAX_AT_IMPACT}")
         if self.conditions < 1 or self.seed < 0:
-            raise ValueError(
+            raise InputError(
                 f"conditions {self.conditions}, seed {self.seed}: wanted 1 or more, and a seed of 0 or more"
             )
         _ = (self.window, self.stage)  # both raise ValueError for impossible values
@@ -208,7 +209,7 @@ def fixed_from(words: Sequence[str]) -> dict[str, float]:
         try:
             fixed[name.strip()] = float(value)
         except ValueError as error:
-            raise ValueError(f"--fix {word}: wanted NAME=VALUE, for example --fix theta=1.2") from error
+            raise InputError(f"--fix {word}: wanted NAME=VALUE, for example --fix theta=1.2") from error
     return fixed
 
 

@@ -31,6 +31,7 @@ from ...model.ensembles import (
     check_releases,
     tally_throws,
 )
+from ...model.errors import InputError
 from ...model.laws import LEVEL, CoulombImpact, ImpactLaw, SmoothImpact, Table
 from ...model.throw import Ending
 from ...replay.figures import face_odds, lowest_again
@@ -73,11 +74,11 @@ class OddsPlan:
 
     def __post_init__(self) -> None:
         if self.conditions not in CONDITIONS:
-            raise ValueError(f"conditions {self.conditions!r}: wanted one of {', '.join(CONDITIONS)}")
+            raise InputError(f"conditions {self.conditions!r}: wanted one of {', '.join(CONDITIONS)}")
         if not self.chi:
-            raise ValueError("chi is empty: wanted one coefficient of restitution or more")
+            raise InputError("chi is empty: wanted one coefficient of restitution or more")
         if self.throws < 1 or self.seed < 0 or not 0 <= self.after <= MAX_AFTER:
-            raise ValueError(
+            raise InputError(
                 f"throws {self.throws}, seed {self.seed}, after {self.after}: "
                 f"wanted 1 throw or more, a seed of 0 or more, and 0 to {MAX_AFTER} impacts"
             )

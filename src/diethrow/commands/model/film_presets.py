@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
+from ...model.errors import InputError
+
 
 @dataclass(frozen=True)
 class Preset:
@@ -128,7 +130,7 @@ def preset_values(names: Sequence[str]) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for name in names:
         if name not in known:
-            raise ValueError(f"preset {name!r}: wanted one of {', '.join(known)}")
+            raise InputError(f"preset {name!r}: wanted one of {', '.join(known)}")
         values |= known[name].values
     return values
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ...model.die import MAX_CORNER_RADIUS_FRACTION
+from ...model.errors import InputError
 from ...replay.render import Aperture, Codec, FrameFaults, Processing, RenderSettings, Sensor
 from ...tracking.footage import Response, grey_of
 from .film_presets import preset_values
@@ -104,26 +105,26 @@ class FilmSettings:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.noise) and self.noise >= 0):
-            raise ValueError(f"noise = {self.noise}: wanted a factor, 0 or more")
+            raise InputError(f"noise = {self.noise}: wanted a factor, 0 or more")
         grey_of(np.zeros(1), self.response)  # refuses an unknown one
         if self.frames is not None and not 1 <= self.frames <= MAX_FRAMES:
-            raise ValueError(f"frames = {self.frames}: wanted 1 to {MAX_FRAMES}")
+            raise InputError(f"frames = {self.frames}: wanted 1 to {MAX_FRAMES}")
         if not MIN_SIZE_PX <= self.size_px <= MAX_SIZE_PX:
-            raise ValueError(f"size_px = {self.size_px}: wanted {MIN_SIZE_PX} to {MAX_SIZE_PX}")
+            raise InputError(f"size_px = {self.size_px}: wanted {MIN_SIZE_PX} to {MAX_SIZE_PX}")
         if not (np.isfinite(self.start_s) and self.start_s >= 0):
-            raise ValueError(f"start_s = {self.start_s}: wanted a time of 0 or more, before the first impact")
+            raise InputError(f"start_s = {self.start_s}: wanted a time of 0 or more, before the first impact")
         for name in ("fps", "exposure_s", "exposure_share", "focus_m", "roughness", "lamp_side_m"):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0):
-                raise ValueError(f"{name} = {value}: wanted a finite number above 0")
+                raise InputError(f"{name} = {value}: wanted a finite number above 0")
         for name, most in SHARES.items():
             value = getattr(self, name)
             if value is not None and not 0 <= value <= most:
-                raise ValueError(f"{name} = {value}: wanted 0 to {most:g}")
+                raise InputError(f"{name} = {value}: wanted 0 to {most:g}")
         for name in ("readout_s", "corner_radius_m"):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value >= 0):
-                raise ValueError(f"{name} = {value}: wanted a finite number, 0 or more")
+                raise InputError(f"{name} = {value}: wanted a finite number, 0 or more")
         self.stored_as.checked(self.bit_depth)
         _ = self.processing, self.faults, self.aperture(1.0)  # each refuses what it cannot be
 

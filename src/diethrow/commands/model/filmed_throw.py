@@ -25,6 +25,7 @@ from ...files.provenance import Stopwatch, write_provenance
 from ...files.scene import Scene
 from ...files.settings import refuse
 from ...model.die import MAX_CORNER_RADIUS_FRACTION, Die
+from ...model.errors import InputError
 from ...model.laws import CoulombImpact, SmoothImpact
 from ...model.rotations import continuous_sign, quat_from_rotvec, quat_multiply
 from ...model.throw import State, Throw, Until, throw_die
@@ -223,7 +224,7 @@ def _shutter_times(scene: Scene | None, settings: FilmSettings, fps: float) -> t
         readout_s = scene.clip.readout_s if scene else 0.0
     for name, value in (("exposure_s", exposure_s), ("readout_s", readout_s)):
         if value > interval_s * (1.0 + 1e-9):
-            raise ValueError(f"{name} = {value}: wanted at most the {interval_s:.4g} s between two frames")
+            raise InputError(f"{name} = {value}: wanted at most the {interval_s:.4g} s between two frames")
     return exposure_s, readout_s
 
 
@@ -239,7 +240,7 @@ def _die(plan: Plan, scene: Scene | None, settings: FilmSettings) -> Die:
         radius_m = die.corner_radius_m
     most = MAX_CORNER_RADIUS_FRACTION * die.solid.inradius
     if radius_m > most:
-        raise ValueError(
+        raise InputError(
             f"corner_radius_m = {radius_m}: wanted at most {most:.4g}, {MAX_CORNER_RADIUS_FRACTION:g} inscribed radii"
         )
     return die.with_corner_radius(radius_m).with_marks(marks)
@@ -296,7 +297,7 @@ def second_throw(plan: Plan, throw: Throw, camera: Camera, times_s: Array) -> Th
                 found.append((float(inside.mean()), other))
         if found:
             return max(found, key=lambda each: each[0])[1]
-    raise ValueError("second_die: every throw beside the first meets it; film a shorter part of the throw, with frames")
+    raise InputError("second_die: every throw beside the first meets it; film a shorter part of the throw, with frames")
 
 
 def _throw_on_film(plan: Plan, fps: float, settings: FilmSettings) -> tuple[Throw, int]:
@@ -328,7 +329,7 @@ def _release_at(plan: Plan, start_s: float) -> State:
     first = throw_die(plan.die, plan.release, plan.law, until=Until(impacts=1), table=plan.model_table).throw
     impact_s = first.impacts[0].time_s if first.impacts else first.flights[0].end_s
     if start_s >= impact_s:
-        raise ValueError(f"start_s = {start_s}: wanted a time before the first impact at {impact_s:.5g} s")
+        raise InputError(f"start_s = {start_s}: wanted a time before the first impact at {impact_s:.5g} s")
     return replace(first.flights[0].at(start_s), time_s=0.0)
 
 

@@ -15,6 +15,7 @@ from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, write_provenance
 from ...model.die import Die
 from ...model.ensembles import ErrorGrowth, LyapunovExponents, ThrowSetup, error_growth, largest_lyapunov_exponent
+from ...model.errors import InputError
 from ...model.laws import LEVEL, ImpactLaw, Table
 from ...model.rotations import matrix_from_quat, quat_from_euler
 from ...model.throw import BodyKind, State, body_kind, checked_release
@@ -56,12 +57,12 @@ class LyapunovPlan:
 
     def __post_init__(self) -> None:
         if self.impacts < 2 or self.orbits < 1 or self.left_out < 0 or self.seed < 0:
-            raise ValueError(
+            raise InputError(
                 f"impacts {self.impacts}, orbits {self.orbits}, leave-out {self.left_out}, seed {self.seed}: "
                 "wanted at least 2 impacts and 1 orbit, and 0 or more of the others"
             )
         if body_kind(self.die) is not BodyKind.CENTRED:
-            raise ValueError(
+            raise InputError(
                 f"a {self.die.solid.name}: wanted a die with one moment of inertia about its centroid, as exponents need it"
             )
         checked_release(self.die, self.start, self.table)

@@ -17,6 +17,7 @@ from typing import Any
 from ...files.csv_and_json import read_json
 from ...files.outputs import whole_file, whole_folder
 from ...files.provenance import Stopwatch, write_provenance
+from ...model.errors import InputError
 from ...replay.recording import Source, join_recordings, properties_of
 
 RECORDING = "replay.rrd"
@@ -46,7 +47,7 @@ def find_recordings(places: Sequence[Path]) -> tuple[ThrowRecording, ...]:
     paths = [path for place in places for path in _recordings_at(place)]
     repeated = [path for path, count in Counter(path.resolve() for path in paths).items() if count > 1]
     if repeated:
-        raise ValueError(f"{repeated[0]} is given twice; give each throw once")
+        raise InputError(f"{repeated[0]} is given twice; give each throw once")
     names = _names(paths)
     return tuple(ThrowRecording(name, path, _properties(path)) for name, path in zip(names, paths, strict=True))
 
@@ -58,9 +59,9 @@ def join(found: Sequence[ThrowRecording], out: Path, *, align: str, models: bool
     OutputExistsError if `out` exists (unless `force`), ValueError for throws that cannot be joined.
     """
     if align not in (BOUNCE, FRAME):
-        raise ValueError(f"--align {align}: wanted {BOUNCE} or {FRAME}")
+        raise InputError(f"--align {align}: wanted {BOUNCE} or {FRAME}")
     if len(found) < 2:
-        raise ValueError(f"{found[0].path} is one recording; give two or more to join, or omit --out to view one")
+        raise InputError(f"{found[0].path} is one recording; give two or more to join, or omit --out to view one")
     same = made_from_same_footage(found) if models is None else models
     with whole_file(out, force=force, inputs=[one.path for one in found]) as file:
         sources = [Source(one.path, one.name) for one in found]
@@ -129,4 +130,4 @@ def _properties(path: Path) -> dict[str, Any]:
     try:
         return properties_of(path)
     except (RuntimeError, ValueError) as error:
-        raise ValueError(f"{path}: not a Rerun recording ({error})") from error
+        raise InputError(f"{path}: not a Rerun recording ({error})") from error

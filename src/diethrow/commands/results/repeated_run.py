@@ -20,6 +20,7 @@ from typing import Any
 from ... import __version__
 from ...files.csv_and_json import read_json
 from ...files.provenance import package_versions, sha256
+from ...model.errors import InputError
 from .folder_comparison import Difference, compare
 
 WITHIN = 1e-6
@@ -89,12 +90,12 @@ def _command_of(origin: Any, folder: Path) -> tuple[list[str], Path]:
         words = [str(word) for word in origin["command"]]
         start_folder = Path(origin["folder"])
     except (KeyError, TypeError) as error:
-        raise ValueError(
+        raise InputError(
             f"{folder}: provenance.json does not state command and folder; wanted results of diethrow"
         ) from error
     arguments, places = _without(words[1:], "--out")
     if not arguments or not places:
-        raise ValueError(
+        raise InputError(
             f"{folder}: provenance.json names no command that can be repeated: wanted one with --out, got {words}"
         )
     # The numbers are the same on every scheduler, and a folder from elsewhere must not make this machine call another.
@@ -122,15 +123,15 @@ def _check_inputs(origin: Any, start_folder: Path, folder: Path) -> None:
     for each in origin["inputs"]:
         path = start_folder / each["path"]
         if not path.is_file():
-            raise ValueError(f"{folder} cannot be repeated: {path} is missing; put it back")
+            raise InputError(f"{folder} cannot be repeated: {path} is missing; put it back")
         if path.stat().st_size != each["bytes"] or sha256(path) != each["sha256"]:
-            raise ValueError(f"{folder} cannot be repeated: {path} has changed since; put the old file back")
+            raise InputError(f"{folder} cannot be repeated: {path} has changed since; put the old file back")
 
 
 def _run(arguments: list[str], start_folder: Path, folder: Path) -> None:
     """Run the command in a process of its own, so that nothing loaded in this one affects it."""
     if not start_folder.is_dir():
-        raise ValueError(f"{folder} cannot be repeated: the folder of its command, {start_folder}, is missing")
+        raise InputError(f"{folder} cannot be repeated: the folder of its command, {start_folder}, is missing")
     program = "from diethrow.cli import main; main()"
     result = subprocess.run(
         [sys.executable, "-c", program, *arguments],
@@ -143,7 +144,7 @@ def _run(arguments: list[str], start_folder: Path, folder: Path) -> None:
     # A check exits with status 1 for a bad finding as well, so the output decides whether the run failed.
     if not Path(arguments[-1]).exists():
         lines = result.stderr.strip().splitlines() or [f"status {result.returncode} without a message"]
-        raise ValueError(f"{folder} cannot be repeated: {lines[-1].removeprefix('diethrow: ')}")
+        raise InputError(f"{folder} cannot be repeated: {lines[-1].removeprefix('diethrow: ')}")
 
 
 def _notices(origin: Any) -> Iterator[str]:
