@@ -30,9 +30,9 @@ translation_m = [0.0, 0.02, 0.6]
 """
 
 
-def invoke(*words: object) -> tuple[int, str, str]:
-    """Exit status, standard output and standard error of a command."""
-    result = CliRunner().invoke(app, [str(word) for word in words])
+def invoke(*words: object, answers: str | None = None) -> tuple[int, str, str]:
+    """Exit status, standard output and standard error of a command; `answers` are what a user types."""
+    result = CliRunner().invoke(app, [str(word) for word in words], input=answers)
     assert "Traceback" not in result.output
     return result.exit_code, result.stdout, result.stderr
 

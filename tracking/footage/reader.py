@@ -210,9 +210,9 @@ def check_count(path: Path, count: int) -> None:
         )
 
 
-def cut_off(path: Path, number: int) -> ValueError:
+def cut_off(path: Path, number: int) -> InputError:
     """The error for a frame that has been cut off since the film was opened."""
-    return ValueError(
+    return InputError(
         f"{path.name}: the file ends before frame {number}; it was cut off while it was read; copy it again"
     )
 

@@ -48,8 +48,10 @@ from .printing import (
     print_batch,
     print_camera,
     print_check,
+    print_found_files,
     print_joint_fit,
     print_json,
+    print_new_scene,
     print_notices,
     print_setting,
     print_tracking,
@@ -362,6 +364,91 @@ def trade(
             return
         print_trade(result)
         typer.echo(f"See {out / 'trade.html'}")
+
+
+@app.command(
+    epilog="Examples:  diethrow new clips/throw_7     (asks what the files do not say)\n\n"
+    "diethrow new clips/throw_7 --yes --fps 1500 --edge-mm 16 --mass-g 4.8 --square-mm 10 --marker-mm 7.5"
+)
+def new(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FOLDER", help="A folder with a clip, and perhaps pictures of a board and a background."
+        ),
+    ],
+    shape: Annotated[
+        str | None, typer.Option("--shape", help="The die: cube, tetrahedron, ... [default: cube]")
+    ] = None,
+    edge_mm: Annotated[float | None, typer.Option("--edge-mm", metavar="MM", help="Its edge, by caliper.")] = None,
+    mass_g: Annotated[float | None, typer.Option("--mass-g", metavar="G", help="Its mass.")] = None,
+    fps: Annotated[
+        float | None, typer.Option("--fps", metavar="HZ", help="Recording rate, where the file has none.")
+    ] = None,
+    exposure_s: Annotated[
+        float | None, typer.Option("--exposure-s", metavar="S", help="Time of the open shutter.")
+    ] = None,
+    surface: Annotated[
+        str, typer.Option("--surface", help="The table, as text; mirror: it reflects the die.")
+    ] = "wood",
+    squares: Annotated[str, typer.Option("--squares", metavar="CxR", help="Squares of the board.")] = "7x5",
+    board: Annotated[Literal["charuco", "chessboard"], typer.Option("--board", help="What is printed.")] = "charuco",
+    square_mm: Annotated[
+        float | None, typer.Option("--square-mm", metavar="MM", help="Side of a square as printed.")
+    ] = None,
+    marker_mm: Annotated[
+        float | None, typer.Option("--marker-mm", metavar="MM", help="Side of a marker; ChArUco only.")
+    ] = None,
+    dictionary: Annotated[
+        str, typer.Option("--dictionary", help="OpenCV's name of the markers' dictionary.")
+    ] = "DICT_4X4_50",
+    yes: Annotated[bool, typer.Option("--yes", help="Ask nothing: what is not given stays open.")] = False,
+    as_json: AsJson = False,
+    force: Force = False,
+) -> None:
+    """Make a scene from a folder with a clip: find the files, read the camera's data, calibrate, check, and show the die found.
+
+    The exit status is 1 where something is missing or a verdict is bad.
+    """
+    with one_sentence_errors():
+        from ..commands.clip.new_scene import Answers, look_through, new_scene, read_clip_facts
+
+        with checked_options():
+            counts = two_counts("squares", squares)
+        files = look_through(folder)
+        if not as_json:
+            print_found_files(files)
+        clip = next((read_clip_facts(one.path) for one in files if one.role == "clip"), None)
+        ask = not yes and not as_json and clip is not None
+        if ask and clip is not None:
+            shape = shape or typer.prompt("Shape of the die", default="cube")
+            edge_mm = edge_mm or typer.prompt("Its edge in millimetres, by caliper", type=float)
+            mass_g = mass_g or typer.prompt("Its mass in grams", type=float)
+            if fps is None and clip.rate_hz is None:
+                fps = typer.prompt("Recording rate in frames per second (not that of a player)", type=float)
+            if square_mm is None and any(one.role == "board" for one in files):
+                square_mm = typer.prompt("Side of a square of the board in millimetres", type=float)
+                marker_mm = marker_mm or (typer.prompt("Side of a marker", type=float) if board == "charuco" else None)
+        answers = Answers(
+            shape=shape or "cube",
+            edge_mm=edge_mm,
+            mass_g=mass_g,
+            fps=fps,
+            exposure_s=exposure_s,
+            surface=surface,
+            board=board,
+            squares=counts,
+            square_mm=square_mm,
+            marker_mm=marker_mm,
+            dictionary=dictionary,
+        )
+        with announcing():
+            made = new_scene(
+                folder, answers, force=force, progress=lambda text: None if as_json else typer.echo(f"{text} ...")
+            )
+        print_new_scene(made, as_json)
+        if made.missing or (made.check is not None and made.check.bad):
+            raise typer.Exit(FAILED)
 
 
 @app.command(epilog="Example:  diethrow check clips/cube_wood/scene.toml --out out/check")

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from ..commands.clip.calibrate import CameraFound
     from ..commands.clip.check import Check
     from ..commands.clip.joint_fit import FitOfMany
+    from ..commands.clip.new_scene import FoundFile, NewScene
     from ..commands.clip.run_options import RunOptions
     from ..commands.model.filmed_throw import FilmJob
     from ..commands.results.joined_recordings import ThrowRecording
@@ -242,3 +243,38 @@ def print_notices(sentences: tuple[str, ...]) -> None:
     """One line per note."""
     for sentence in sentences:
         LOGGER.warning("%s", sentence)
+
+
+def print_found_files(files: Sequence[FoundFile]) -> None:
+    """The files of a folder, and what each seems to be."""
+    _print_table([(one.path.name, f"{one.role}: {one.said}") for one in files])
+
+
+def print_new_scene(made: NewScene, as_json: bool) -> None:
+    """The scene of a folder: what is missing, or the verdicts and the next command."""
+    if as_json:
+        print_json(
+            {
+                "scene": str(made.path),
+                "files": [{"path": str(one.path), "role": one.role, "found": one.said} for one in made.files],
+                "missing": list(made.missing),
+                "verdicts": {}
+                if made.check is None
+                else {finding.name: finding.verdict.value for finding in made.check.findings},
+                "first_frame": None if made.first_frame is None else str(made.first_frame),
+                "notices": list(made.notices),
+            }
+        )
+        return
+    print_notices(made.notices)
+    if made.check is not None:
+        print_check(made.check)
+    if made.first_frame is not None:
+        typer.echo(f"The first frame with the die found in it: {made.first_frame}")
+    typer.echo(f"The scene is {made.path}")
+    for sentence in made.missing:
+        typer.echo(f"missing  {sentence}")
+    if made.missing:
+        typer.echo(f"Complete {made.path} by hand, or give what is missing and run `diethrow new` with --force")
+    elif made.check is not None and not made.check.bad:
+        typer.echo(f"Next:  diethrow analyze {made.path} --out out/{made.path.resolve().parent.name}")
