@@ -36,7 +36,7 @@ from ..throw import INTERVAL_LEVEL, Physics, table_under
 from .data_set import DataSet, Entry, data_set_of, drawn_perturbations, evenly_spread
 from .flight_evidence import FlightEstimate, with_flight_effects
 from .joint_effects import EFFECTS, FIRST_CHI, IMPACT_EFFECTS, START_THROWS, least_evidence, with_effects
-from .minimisation import Linearisation, left_out_residuals, minimised, step_of
+from .minimisation import Linearisation, left_out_residuals, linearised_at, minimised, step_of
 from .search import SPLITS, STARTS, Minimum, Spread, best_of_minima, spread_of
 
 Array = NDArray[np.float64]
@@ -131,10 +131,13 @@ def fit_jointly(
         effects_shown = with_effects(some, best, impact_effects, steps.advance)
         everyone = data_set_of(entries, effects_shown.point.physics, pool)
         points, minima = best_of_minima(everyone, effects_shown.point.physics, steps.advance)
-        spread = spread_of(everyone, points, effects_shown, steps.advance)
+        spread, best = spread_of(everyone, points, effects_shown, steps.advance), points[0]
+        if spread.is_of_many:
+            values = dict(zip(spread.names, spread.mean.tolist(), strict=True))
+            best = linearised_at(everyone, best.physics.with_values(**values))
         steps.finish()
         chosen, refused = [*effects_shown.accepted, *shown], [*effects_shown.refused, *absent]
-        return _result(everyone, points[0], minima, spread, estimates, chosen, refused)
+        return _result(everyone, best, minima, spread, estimates, chosen, refused)
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""Commands that work on folders of results: replay, report, rerun."""
+"""Commands that work on folders: replay, report, rerun, watch."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 import typer
 
 from .app import app
-from .errors import FAILED, one_sentence_errors
-from .options import AsJson, EmbedReplay, output_words
-from .printing import print_json, print_throws
+from .errors import CLIPS_KEPT, FAILED, one_sentence_errors, stopped_with
+from .options import AsJson, EmbedReplay, Fineness, output_words
+from .printing import batch_record, print_json, print_notices, print_throws
 
 
 @app.command(
@@ -138,3 +138,52 @@ def rerun(
             typer.echo("\n".join(summary(comparison)))
         if not comparison.agree:
             raise typer.Exit(FAILED)
+
+
+@app.command(
+    epilog="Example:  diethrow watch /camera/today --scene /camera/today/scene.toml --out out/today --joint-every 10"
+)
+def watch(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="The folder that the camera saves to.")],
+    scene: Annotated[Path, typer.Option("--scene", metavar="SCENE", help="The scene of all clips: a template.")],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Results; may exist, and goes on.")],
+    joint_every: Annotated[
+        int, typer.Option("--joint-every", min=0, metavar="N", help="Joint fit after every N throws; 0: none.")
+    ] = 0,
+    poll_s: Annotated[float, typer.Option("--poll-s", min=0.1, metavar="S", help="Time between two looks.")] = 2.0,
+    once: Annotated[bool, typer.Option("--once", help="Stop when the clips that are there are done.")] = False,
+    quality: Fineness = "standard",
+    as_json: AsJson = False,
+) -> None:
+    """Analyse every clip that appears in a folder: results.csv and index.html grow throw by throw. Ctrl-C stops it, and the same
+    command goes on."""
+    with one_sentence_errors(), stopped_with(CLIPS_KEPT):
+        from ..commands.clip.run_options import RunOptions
+        from ..commands.results.watched_folder import Watched
+        from ..commands.results.watched_folder import watch as watch_folder
+        from ..executors import Processes
+
+        def told(watched: Watched) -> None:
+            if as_json:
+                print_json(batch_record(watched.batch, out))
+                return
+            print_notices(watched.notices)
+            typer.echo(
+                f"{len(watched.batch.results)} throws, {len(watched.batch.failures)} failures, {watched.new} new; "
+                f"see {out / 'index.html'}"
+            )
+
+        if not as_json:
+            typer.echo(f"watching {folder}; Ctrl-C stops")
+        with Processes(1) as executor:
+            watch_folder(
+                folder,
+                scene,
+                out,
+                options=RunOptions(quality=quality),
+                joint_every=joint_every,
+                poll_s=poll_s,
+                looks=2 if once else None,
+                executor=executor,
+                told=told,
+            )

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from ..fitting.results import IntervalMethod
-    from ..tracking.footage import Clip
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -263,8 +262,10 @@ def load(folder: str | Path) -> Analysis:
 
     Raises FileNotFoundError for a folder without one, ValueError for files that are damaged or of a version that this program
     does not know."""
+    from ..commands.clip.footage import clip_of_analysis
+
     found = read_analysis(Path(folder))
-    return _as_analysis(replace(found, record=replace(found.record, clip=_clip_of(found))))
+    return _as_analysis(replace(found, record=replace(found.record, clip=clip_of_analysis(found))))
 
 
 def to_xarray(analysis: Analysis) -> Any:
@@ -295,21 +296,6 @@ def to_xarray(analysis: Analysis) -> Any:
 
 def _as_analysis(found: AnalysedThrow) -> Analysis:
     return Analysis(**{part.name: getattr(found, part.name) for part in fields(found)})
-
-
-def _clip_of(found: AnalysedThrow) -> Clip | None:
-    """The footage at the times of the track; None where it is gone, or has other frames now."""
-    from ..commands.clip.footage import open_footage
-    from ..tracking.timing import clip_at_times
-
-    track = found.record.track
-    try:
-        clip = open_footage(found.scene, found.scene.views()[0])
-        if not found.decimation.is_whole:
-            clip = found.decimation.clip(clip)
-    except (OSError, ValueError):
-        return None
-    return clip_at_times(clip, track.time_s) if len(clip) == len(track) else None
 
 
 def _number(value: float | None) -> str:

@@ -69,7 +69,8 @@ def test_minima_are_reported_with_their_cost_the_best_first(frictional_fit: Join
 
 def test_the_spread_of_halves_has_the_covariance_of_its_draws() -> None:
     rng, truth = np.random.default_rng(0), np.array([[4.0, -1.8], [-1.8, 1.0]])
-    spread = Spread(("a", "b"), rng.multivariate_normal(np.zeros(2), truth, 4000), np.zeros((2, 2)), 12)
+    draws = rng.multivariate_normal(np.zeros(2), truth, 4000)
+    spread = Spread(("a", "b"), np.zeros(2), draws, np.zeros((2, 2)), 12, 60)
     np.testing.assert_allclose(spread.covariance, truth, atol=0.2)
     assert spread.trade_offs(0.8) == [("a", "b", pytest.approx(-0.9, abs=0.02))]
     assert spread.trade_offs(0.95) == []

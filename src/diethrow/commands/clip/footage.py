@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...files.analysis_folder import AnalysedThrow
 from ...files.scene import Scene, View
 from ...files.settings import SceneError, refuse
 from ...tracking.footage import (
@@ -30,6 +31,7 @@ from ...tracking.footage import (
     shows_one_picture,
     smoothed,
 )
+from ...tracking.timing import clip_at_times
 
 SAME_INTERVAL = 1e-3
 """Share by which the rate of a file may differ from the scene's when times are compared with the frame interval."""
@@ -117,3 +119,15 @@ def open_background(scene: Scene, view: View, clip: Clip) -> NDArray[np.float32]
         return picture_in_light(smoothed(picture) if has_mosaic(clip) else picture, clip, scene.clip.response)
     except (ValueError, OSError) as error:
         raise SceneError(f"{scene.path}: clip.background = {view.background_path.name}: {error}") from error
+
+
+def clip_of_analysis(found: AnalysedThrow) -> Clip | None:
+    """The footage of a saved analysis at the times of its track; None where it is gone, or has other frames now."""
+    track = found.record.track
+    try:
+        clip = open_footage(found.scene, found.scene.views()[0])
+        if not found.decimation.is_whole:
+            clip = found.decimation.clip(clip)
+    except (OSError, ValueError):
+        return None
+    return clip_at_times(clip, track.time_s) if len(clip) == len(track) else None

@@ -120,11 +120,17 @@ def _read(
 ) -> tuple[list[Entry], tuple[str, ...]]:
     entries: list[Entry] = []
     left_out: list[str] = []
-    for k, path in enumerate(paths):
+    for k, (path, name) in enumerate(zip(paths, _names(paths), strict=True)):
         progress("Reading the tracks", k, len(paths))
         try:
-            entries.append(entry_of(path.stem, read_track(path, gravity_m_s2, turning_of(die)), die))
+            entries.append(entry_of(name, read_track(path, gravity_m_s2, turning_of(die)), die))
         except ValueError as error:
-            reason = str(error).removeprefix(f"{path}: ").removeprefix(f"{path.stem}: ")
+            reason = str(error).removeprefix(f"{path}: ").removeprefix(f"{name}: ")
             left_out.append(f"{path} is left out: {reason}.")
     return entries, tuple(left_out)
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """Of the files or, where these have the same name in several folders, of the folders."""
+    stems = [path.stem for path in paths]
+    return stems if len(set(stems)) == len(stems) else [path.resolve().parent.name for path in paths]

@@ -102,7 +102,7 @@ def look_through(folder: Path) -> tuple[FoundFile, ...]:
     """What the files of a folder seem to be. Of several films the longest is the clip. Raises InputError without a folder."""
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such folder; wanted one with a clip in it")
-    found = [_role_of(path) for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
+    found = [role_of(path) for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
     films = [one for one in found if one.role == "clip"]
     if len(films) > 1:
         longest = max(films, key=lambda one: len(_opened(one.path)))
@@ -198,7 +198,8 @@ def scene_text(folder: Path, files: Sequence[FoundFile], clip: ClipRead, answers
     return "\n".join(lines)
 
 
-def _role_of(path: Path) -> FoundFile:
+def role_of(path: Path) -> FoundFile:
+    """What a file or a folder seems to be, by its name and its content."""
     name = path.name
     if name == "scene.toml":
         return FoundFile(path, "scene", "a scene file")
