@@ -96,7 +96,7 @@ def minimised(data: DataSet, physics: Physics, converged: float = CONVERGED) -> 
     """The physics of least mean cost that a descent from a start reaches.
 
     Each round takes the best of Gauss-Newton steps and of the displaced points of the differences, whose costs are known
-    anyway: the cost of throws that part from each other is rough, and the normal equations alone end in a dent of it. The
+    anyway: the cost of throws that diverge is rough, and the normal equations alone end in a local minimum. The
     descent ends where none of them lowers the cost by the part `converged`, whichever way the differences go.
     """
     point, damping, turned = linearised_at(data, physics), _FIRST_DAMPING, False

@@ -10,8 +10,8 @@ Inst. 37, 239, 1969). So the scatter between throws, the errors of the law, and 
 covariance. What other effects would make of the parameters, which other samples of the throws choose, is added. It has no more
 degrees of freedom than divisions, or throws less one.
 
-**Estimate.** The mean of what all halves find (bagging, Breiman, Machine Learning 24, 123, 1996): in it the dents of the cost, in
-which one search ends by chance, average out. Of few throws it is the best minimum.
+**Estimate.** The mean of what all halves find (bagging, Breiman, Machine Learning 24, 123, 1996): in it the local minima of a
+rough cost, in which one search ends by chance, average out. Of few throws it is the best minimum.
 """
 
 from __future__ import annotations

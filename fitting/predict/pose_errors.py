@@ -2,7 +2,7 @@
 
 State and parameters are drawn from their covariances, and each draw is simulated. The mean square of the poses about the
 prediction is their part. What no law describes is measured on throws that a joint fit left out (`Misfit`), and added.
-Where draws part (one tips over another edge) no covariance describes them; the mean square then says how far off they are.
+Where draws diverge (one tips over another edge) no covariance describes them; the mean square then says how far off they are.
 """
 
 from __future__ import annotations

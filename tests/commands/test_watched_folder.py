@@ -55,7 +55,7 @@ def watched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, list[
             lambda: (folder / "throw_2.tif").write_bytes(second),
         ]
     )
-    told: list[Watched] = []
+    reported: list[Watched] = []
     with ThreadPoolExecutor(1) as executor:
         watch(
             folder,
@@ -64,16 +64,16 @@ def watched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, list[
             joint_every=2,
             looks=6,
             executor=executor,
-            told=told.append,
+            reported=reported.append,
             sleep=lambda seconds: next(steps, lambda: None)(),
         )
-    return folder, out, told
+    return folder, out, reported
 
 
 def test_each_clip_is_analysed_once_when_it_is_complete(watched: tuple[Path, Path, list[Watched]]) -> None:
-    _, out, told = watched
-    assert [(len(one.batch.results), one.new) for one in told] == [(1, 1), (2, 1)]
-    assert [one.batch.kept for one in told] == [0, 1]
+    _, out, reported = watched
+    assert [(len(one.batch.results), one.new) for one in reported] == [(1, 1), (2, 1)]
+    assert [one.batch.kept for one in reported] == [0, 1]
     with (out / "results.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [Path(row["scene"]).stem for row in rows] == ["throw_1", "throw_2"]
@@ -100,8 +100,8 @@ def test_the_page_has_a_row_and_a_picture_of_every_throw(watched: tuple[Path, Pa
 
 
 def test_the_joint_fit_follows_after_every_so_many_throws(watched: tuple[Path, Path, list[Watched]]) -> None:
-    _, out, told = watched
-    assert [one.joint_fit for one in told] == [None, out / "joint"]
+    _, out, reported = watched
+    assert [one.joint_fit for one in reported] == [None, out / "joint"]
     joint = json.loads((out / "joint" / "fit.json").read_text())
     assert [throw["track"] for throw in joint["throws"]] == ["throw_1", "throw_2"]
 
@@ -128,9 +128,9 @@ def test_what_cannot_be_watched_is_refused_in_a_sentence(tmp_path: Path) -> None
 def test_a_clip_that_fails_is_named_and_the_others_go_on(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(TEMPLATE)
     write_tiff(tmp_path / "nothing.tif", np.full((20, 200, 200), 80, np.uint8))
-    told: list[Watched] = []
+    reported: list[Watched] = []
     with ThreadPoolExecutor(1) as executor:
-        watch(tmp_path, tmp_path / "scene.toml", tmp_path / "out", looks=2, executor=executor, told=told.append,
+        watch(tmp_path, tmp_path / "scene.toml", tmp_path / "out", looks=2, executor=executor, reported=reported.append,
               sleep=lambda seconds: None)  # fmt: skip
-    assert [failure.kind for failure in told[0].batch.failures] == ["scene"]
+    assert [failure.kind for failure in reported[0].batch.failures] == ["scene"]
     assert "nothing" in (tmp_path / "out" / "index.html").read_text()

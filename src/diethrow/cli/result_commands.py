@@ -163,7 +163,7 @@ def watch(
         from ..commands.results.watched_folder import watch as watch_folder
         from ..executors import Processes
 
-        def told(watched: Watched) -> None:
+        def reported(watched: Watched) -> None:
             if as_json:
                 print_json(batch_record(watched.batch, out))
                 return
@@ -185,5 +185,5 @@ def watch(
                 poll_s=poll_s,
                 looks=2 if once else None,
                 executor=executor,
-                told=told,
+                reported=reported,
             )

@@ -69,7 +69,7 @@ def watch(
     looks: int | None = None,
     executor: Executor | None = None,
     progress: Callable[[Standing], None] = lambda standing: None,
-    told: Callable[[Watched], None] = lambda watched: None,
+    reported: Callable[[Watched], None] = lambda watched: None,
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
     """Analyse every clip that appears in a folder, until Ctrl-C or for a number of `looks`.
@@ -96,7 +96,7 @@ def watch(
                 joint, notices = _joint_fit(scenes, batch, template, out)
                 fitted = len(batch.results)
             _write_index(folder, scenes, batch, out, joint or _existing(out / "joint"))
-            told(Watched(batch, len(scenes) - done, joint, tuple(notices)))
+            reported(Watched(batch, len(scenes) - done, joint, tuple(notices)))
             done = len(scenes)
         looks = None if looks is None else looks - 1
         if looks != 0:
