@@ -11,7 +11,7 @@ cost by as much is not tried again.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from ..results import Effect
 from ..throw import Physics
 from .data_set import DataSet, data_set_of
 from .flight_evidence import FLIGHT_EFFECTS
-from .minimisation import NEARLY_CONVERGED, Linearisation, left_out_residuals, linearised_at, minimised
+from .minimisation import Linearisation, left_out_residuals, minimised
 
 Array = NDArray[np.float64]
 
@@ -132,7 +132,7 @@ def with_effects(
     while left:
         # How errors of the release state grow depends on the law: the slack is computed anew.
         data = data_set_of(data.entries, point.physics, data.pool)
-        point = linearised_at(data, point.physics)
+        point = minimised(data, point.physics)
         before = data.costs(left_out_residuals(data, point))
         trials: dict[str, tuple[Linearisation, Array]] = {}
         for effect in left:
@@ -146,9 +146,18 @@ def with_effects(
             on_trial()
             trials[effect] = (wider, gains)
             refused[effect] = _refusal(effect, gains, before)
+        best = _best_effect({effect: gains for effect, (_, gains) in trials.items()}, len(effects))
+        if best is not None:
+            # With one more parameter a descent may have found what the plainer model had not: only the rest is a gain.
+            plainer = minimised(data, _without(trials[best][0].physics, best))
+            if plainer.cost < point.cost:
+                other = data.costs(left_out_residuals(data, plainer))
+                trials = {effect: (wider, gains + other - before) for effect, (wider, gains) in trials.items()}
+                point, before = plainer, other
+                refused |= {effect: _refusal(effect, gains, before) for effect, (_, gains) in trials.items()}
+                best = _best_effect({effect: gains for effect, (_, gains) in trials.items()}, len(effects))
         costs = {effect: (wider.physics, before - gains) for effect, (wider, gains) in trials.items()}
         rounds.append(Round(before, point.physics, costs))
-        best = _best_effect({effect: gains for effect, (_, gains) in trials.items()}, len(effects))
         if best is None:
             break
         point = trials[best][0]
@@ -159,6 +168,11 @@ def with_effects(
     return ChosenEffects(
         point, accepted, [refused[e] for e in effects if e in refused and e not in names], rounds, len(effects)
     )
+
+
+def _without(physics: Physics, effect: str) -> Physics:
+    """The same values without an effect."""
+    return replace(physics, values={n: value for n, value in physics.values.items() if n not in EFFECTS[effect]})
 
 
 def _best_effect(gains: dict[str, Array], on_trial: int) -> str | None:
@@ -172,7 +186,7 @@ def _with_one_more(data: DataSet, point: Linearisation, effect: str) -> Linearis
     physics = point.physics.with_values(**{name: point.physics.neutral(name) for name in EFFECTS[effect]})
     starts = _starts(physics, effect)
     best = min(starts, key=data.subset(START_THROWS).mean_cost) if len(starts) > 1 else starts[0]
-    return minimised(data, best, NEARLY_CONVERGED)
+    return minimised(data, best)
 
 
 def _starts(physics: Physics, effect: str) -> list[Physics]:
