@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -13,6 +13,7 @@ from .errors import CLIPS_KEPT, FAILED, MISUSED, checked_options, one_sentence_e
 from .options import (
     AllowOutside,
     AsJson,
+    BoardKind,
     ChiWithin,
     DieAndTable,
     EffectsOnTrial,
@@ -23,11 +24,14 @@ from .options import (
     Force,
     FrameTiming,
     Intervals,
+    MarkerDictionary,
+    MarkerSide,
     MisfitLimit,
     OutFolder,
     SceneFile,
     Scheduler,
     Shrink,
+    Squares,
     Threads,
     TradeFile,
     UsualFriction,
@@ -391,17 +395,13 @@ def new(
     surface: Annotated[
         str, typer.Option("--surface", help="The table, as text; mirror: it reflects the die.")
     ] = "wood",
-    squares: Annotated[str, typer.Option("--squares", metavar="CxR", help="Squares of the board.")] = "7x5",
-    board: Annotated[Literal["charuco", "chessboard"], typer.Option("--board", help="What is printed.")] = "charuco",
+    squares: Squares = "7x5",
+    board: BoardKind = "charuco",
     square_mm: Annotated[
         float | None, typer.Option("--square-mm", metavar="MM", help="Side of a square as printed.")
     ] = None,
-    marker_mm: Annotated[
-        float | None, typer.Option("--marker-mm", metavar="MM", help="Side of a marker; ChArUco only.")
-    ] = None,
-    dictionary: Annotated[
-        str, typer.Option("--dictionary", help="OpenCV's name of the markers' dictionary.")
-    ] = "DICT_4X4_50",
+    marker_mm: MarkerSide = None,
+    dictionary: MarkerDictionary = "DICT_4X4_50",
     yes: Annotated[bool, typer.Option("--yes", help="Ask nothing: what is not given stays open.")] = False,
     as_json: AsJson = False,
     force: Force = False,
@@ -499,14 +499,10 @@ def calibrate(
         float | None,
         typer.Option("--square-sigma-mm", metavar="MM", help="Standard error of that side; left out: 0.1 % of it."),
     ] = None,
-    squares: Annotated[str, typer.Option("--squares", metavar="CxR", help="Squares along columns and rows.")] = "7x5",
-    board: Annotated[Literal["charuco", "chessboard"], typer.Option("--board", help="What is printed.")] = "charuco",
-    marker_mm: Annotated[
-        float | None, typer.Option("--marker-mm", metavar="MM", help="Side of a marker; ChArUco only.")
-    ] = None,
-    dictionary: Annotated[
-        str, typer.Option("--dictionary", help="OpenCV's name of the markers' dictionary.")
-    ] = "DICT_4X4_50",
+    squares: Squares = "7x5",
+    board: BoardKind = "charuco",
+    marker_mm: MarkerSide = None,
+    dictionary: MarkerDictionary = "DICT_4X4_50",
     table: Annotated[
         Path | None,
         typer.Option(

@@ -87,6 +87,10 @@ EffectsOnTrial = Annotated[
         help='Only these effects are tried, with commas between them: "friction,rounded corners". [default: all]',
     ),
 ]
+Squares = Annotated[str, typer.Option("--squares", metavar="CxR", help="Squares along columns and rows of the board.")]
+BoardKind = Annotated[Literal["charuco", "chessboard"], typer.Option("--board", help="What is printed.")]
+MarkerSide = Annotated[float | None, typer.Option("--marker-mm", metavar="MM", help="Side of a marker; ChArUco only.")]
+MarkerDictionary = Annotated[str, typer.Option("--dictionary", help="OpenCV's name of the markers' dictionary.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing output once the new one is complete.")]
 EmbedReplay = Annotated[
     bool,
