@@ -19,6 +19,7 @@ from diethrow.commands.model.film_settings import FilmSettings, film_settings
 from diethrow.commands.model.filmed_throw import film, film_job, scene_text
 from diethrow.files.plan import read_plan
 from diethrow.files.scene import read_scene
+from diethrow.model.errors import InputError
 
 TURNS = hasattr(av.VideoStream, "set_display_rotation")
 """Whether PyAV can write the rotation of an MP4; version 18 does."""
@@ -119,7 +120,7 @@ def test_an_option_on_the_command_line_wins_over_a_preset_and_none_leaves_the_pr
 
     def shoot(*_: object, settings: FilmSettings, **__: object) -> None:
         seen.append(settings)
-        raise ValueError("seen enough")
+        raise InputError("seen enough")
 
     monkeypatch.setattr("diethrow.commands.model.filmed_throw.film", shoot)
     words = ("film", plan, "--out", tmp_path / "film", "--preset", "phone", "--preset", "glossy")
