@@ -20,13 +20,17 @@ from scipy.special import stdtrit
 from ...model.rotations import matrix_from_quat
 from ..estimation import normal_quantile
 from ..results import Effect
-from ..throw import CALIBRATION_LIMITS, CENTRE_OF_MASS, INTERVAL_LEVEL, Physics
+from ..throw import CENTRE_OF_MASS, INTERVAL_LEVEL, Physics
 from .data_set import Entry
 
 Array = NDArray[np.float64]
 
 FLIGHT_EFFECTS: dict[str, tuple[str, ...]] = {"clock": ("clock_scale",), "loaded die": CENTRE_OF_MASS}
 """Effects that flights decide, and their parameters, in the order in which they are looked for."""
+
+
+_LEAST_CLOCK_ERROR = 1e-6
+"""Standard error of a clock below which rounding of the times shows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +101,7 @@ def clock_from_flights(entries: Sequence[Entry], physics: Physics) -> FlightEsti
     values, covariance = _solution(equations)
     fall = physics.table.gravity_m_s2 * physics.length
     clock = float(np.sqrt(max(1.0 + values[3] / fall, 1e-6)))
-    error = max(0.5 * float(np.sqrt(covariance[3, 3])) / (fall * clock), CALIBRATION_LIMITS["clock_scale"] / 1e3)
+    error = max(0.5 * float(np.sqrt(covariance[3, 3])) / (fall * clock), _LEAST_CLOCK_ERROR)
     return FlightEstimate(np.array([clock]), np.array([[error**2]]), np.ones(1), len(entries))
 
 

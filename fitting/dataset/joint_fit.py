@@ -43,7 +43,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 _EFFECT_THROWS = 120
-"""Throws, spread over all, by which effects are chosen: enough to detect a twentieth of the cost."""
+"""Most throws, spread over all, by which effects are chosen: more would take longer in proportion."""
 
 _CORRELATED = 0.8
 """Correlation from which two parameters are reported to trade against each other."""

@@ -1,5 +1,4 @@
-"""Minimisation of the mean cost of a data set: iteratively reweighted least squares with Marquardt's damping, from one start or
-from several.
+"""Minimisation of the mean cost of a data set: iteratively reweighted least squares with Marquardt's damping.
 
 The release states are held, so all throws share one set of unknowns. The normal equations are a sum over throws of k × k
 blocks, and the computing time grows with the number of throws only. They are reweighted at each step (Holland & Welsch,
@@ -37,7 +36,7 @@ CONVERGED = 1e-3
 """Relative fall of the cost in a round below which a descent ends."""
 
 NEARLY_CONVERGED = 1e-2
-"""The same where starts or effects are only to be compared."""
+"""The same where starts are only to be compared."""
 
 _FIRST_DAMPING = 1e-2
 """Relative damping of the first step."""

@@ -58,7 +58,7 @@ JAMMING_MARGIN = 2.0
 """Least ratio of the normal compliance to what friction takes from it at which the sliding direction is looked for alone."""
 
 MAX_DIRECTION_STEPS = 20
-"""Steps of the search for that direction; some four are used."""
+"""Steps of the search for that direction; Newton's method takes few."""
 
 LARGEST_TURN = 0.5
 """[rad] of one of them."""
@@ -415,8 +415,8 @@ def follow_frictional_contact(
             return RESTED, time + dt - begin, -1, knots
         hit = deepest_free_vertex(body, plane, after, time + dt, active)
         if hit >= 0:
-            # False position (Illinois) takes six steps where halving takes forty. The bracket is halved after another vertex has
-            # become the deepest, whose height before is unknown, and where false position has not closed it for long.
+            # False position (Illinois) takes five to eleven steps where halving takes forty. The bracket is halved after another
+            # vertex has become the deepest, whose height before is unknown, and where false position has not closed it for long.
             low, high, stayed, near = 0.0, dt, 0, ROUNDING_BOUND * body.radius
             guess[:] = impulses / dt
             h_low = clearance(body.vertices[hit], state, table_height(plane, time))

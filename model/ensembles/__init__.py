@@ -31,6 +31,7 @@ from .predictability import final_state_sensitivity as final_state_sensitivity
 from .predictability import uncertainty_exponent as uncertainty_exponent
 from .releases import BLOCK as BLOCK
 from .releases import CONDITIONS as CONDITIONS
+from .releases import HEIGHT_EDGES as HEIGHT_EDGES
 from .releases import Conditions as Conditions
 from .releases import PaperConditions as PaperConditions
 from .releases import UniformConditions as UniformConditions

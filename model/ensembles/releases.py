@@ -28,6 +28,10 @@ CONDITIONS = ("z0", "psi", "theta", "phi", "vx", "vy", "vz", "omega_xi", "omega_
 on x0 and y0, so they are left out."""
 
 
+HEIGHT_EDGES = (15.0, 20.0)
+"""Default range of the release height in edges of the die: that of the paper."""
+
+
 class Conditions(Protocol):
     """A distribution of releases."""
 

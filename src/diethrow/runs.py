@@ -75,12 +75,6 @@ class Tracking:
     """Estimated lens of the first camera; None if the pictures show no depth of field."""
 
     @property
-    def face_numbers(self) -> tuple[int | None, ...]:
-        """The number on each face of `die`; None if it could not be read."""
-        count = len(self.faces.numbers)
-        return tuple(range(1, count + 1)) if self.faces.complete else self.faces.numbers
-
-    @property
     def notices(self) -> tuple[str, ...]:
         """Reservations about the footage and the motion in it, one sentence each."""
         return (

@@ -135,5 +135,8 @@ def test_of_several_films_the_longest_is_the_clip_and_a_folder_without_one_is_re
     status, _, notes = invoke("new", folder, *KNOWN)
     assert status == 1
     assert "no film is in it; wanted an AVI" in notes
+    status, _, notes = invoke("new", folder, *KNOWN, "--shape", "d10")
+    assert status == 1
+    assert "shape = d10: wanted tetrahedron" in notes
     status, _, notes = invoke("new", folder / "nowhere", *KNOWN)
     assert "there is no such folder" in notes

@@ -134,3 +134,19 @@ def test_a_clip_that_fails_is_named_and_the_others_go_on(tmp_path: Path) -> None
               sleep=lambda seconds: None)  # fmt: skip
     assert [failure.kind for failure in reported[0].batch.failures] == ["scene"]
     assert "nothing" in (tmp_path / "out" / "index.html").read_text()
+
+
+def test_clips_of_one_name_have_scenes_of_their_own(tmp_path: Path) -> None:
+    template = tmp_path / "throw.toml"
+    template.write_text(TEMPLATE)
+    for name in ("throw.tif", "other.tif", "other.tiff"):
+        write_clip(tmp_path / name, 3)
+    reported: list[Watched] = []
+    with ThreadPoolExecutor(1) as executor:
+        watch(tmp_path, template, tmp_path / "out", looks=2, executor=executor, reported=reported.append,
+              sleep=lambda seconds: None)  # fmt: skip
+    assert {path.name for path in tmp_path.glob("*.toml")} == {
+        "throw.toml", "throw_tif.toml", "other.toml", "other_tiff.toml"
+    }  # fmt: skip
+    assert len(reported[0].batch.results) == 3
+    assert template.read_text() == TEMPLATE

@@ -33,6 +33,7 @@ from ..replay.elements import Record, ReportDetails
 from ..tracking.camera import Camera
 from ..tracking.check import Finding, Verdict
 from ..tracking.footage import WHOLE_CLIP, Decimation
+from ..tracking.surface_marks import FaceNumbers
 from ..tracking.track import ABSENT, Track
 from .csv_and_json import read_json, write_json
 from .fit_records import read_fit, write_fit
@@ -103,19 +104,23 @@ def write_values(folder: Path, analysis: AnalysedThrow) -> None:
     """The values of an analysis: tables, fit, and `analysis.json`."""
     record, frames = analysis.record, analysis.details.frames
     assert frames is not None
-    complete = all(number is not None for number in analysis.face_numbers)
-    write_vertices(folder / "vertices.csv", record.die.solid)
-    write_track(folder / "track.csv", record.track)
-    write_track(folder / "track_frames.csv", frames)
-    write_measured_throw(
-        folder / "track_frames.csv", TrackedThrow(frames, record.measured, record.die, analysis.face_numbers)
-    )
-    write_bounces(folder / "bounces.csv", record.measured.impacts)
-    numbers = range(1, len(analysis.face_numbers) + 1) if complete else analysis.face_numbers
-    write_faces(folder / "faces.csv", record.die.solid, tuple(numbers))
+    write_tracked(folder, record.track, TrackedThrow(frames, record.measured, record.die, analysis.face_numbers))
     write_fit(folder / "fit.json", analysis.result)
     write_simulated(folder / "simulated.csv", record.simulated or _nothing(record.track))
     write_json(folder / "analysis.json", _table(analysis))
+
+
+def write_tracked(folder: Path, smoothed: Track, tracked: TrackedThrow) -> None:
+    """The files of the tracking stage."""
+    numbers, solid = tracked.face_numbers, tracked.die.solid
+    # Where all were read, the faces are in their order.
+    complete = FaceNumbers(numbers, 1.0, "").complete
+    write_vertices(folder / "vertices.csv", solid)
+    write_track(folder / "track.csv", smoothed)
+    write_track(folder / "track_frames.csv", tracked.frames)
+    write_measured_throw(folder / "track_frames.csv", tracked)
+    write_bounces(folder / "bounces.csv", tracked.throw.impacts)
+    write_faces(folder / "faces.csv", solid, tuple(range(1, len(numbers) + 1)) if complete else numbers)
 
 
 def read_analysis(folder: Path) -> AnalysedThrow:

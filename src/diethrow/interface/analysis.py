@@ -243,7 +243,7 @@ def analyze(
     RunError for a clip without a die, OutputExistsError for a folder that exists (unless `force`).
 
     >>> analyze("data_samples/cube_wood/scene.toml")   # doctest: +SKIP
-    <Analysis cube_wood: chi 0.5500, 3 bounces, 180 of 180 frames tracked>
+    <Analysis cube_wood: chi 0.58288, 3 bounces, 239 of 260 frames tracked>
     """
     from ..commands.clip.analyze import analysed
     from ..commands.clip.analyze import analyze as analyze_into

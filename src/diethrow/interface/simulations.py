@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from ..model.die import Die
 from ..model.ensembles import (
     FIG_6_CONDITIONS,
+    HEIGHT_EDGES,
     Axis,
     Conditions,
     Tally,
@@ -37,9 +38,6 @@ from ..model.throw import Ending, State, Throw, Until, throw_die
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
-
-HEIGHT_EDGES = (15.0, 20.0)
-"""Default range of the release height in edges of the die: that of the paper."""
 
 
 @dataclass(frozen=True, eq=False)

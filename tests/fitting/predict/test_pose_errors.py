@@ -50,7 +50,7 @@ def test_predictions_are_off_by_what_their_covariances_say(covariance: Parameter
         turned = rotation_between(model.quaternion[rows], track.quaternion[rows])
         variances = np.diagonal(model.covariance[rows] + track.covariance[rows], axis1=1, axis2=2)
         ratios.append((np.hstack([off, turned]) ** 2 / variances).mean(0))
-    # Frames of one throw err alike, so that there are 24 samples: a mean square of 1 ± 0.3.
+    # Errors of the frames of one throw are correlated, so that there are 24 samples: a mean square of 1 ± 0.3.
     assert np.mean(ratios, axis=0) == pytest.approx(np.ones(6), abs=0.9)
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.5)
 

@@ -53,10 +53,10 @@ def analyze(
     paths = input_paths(scene)
     command = command or same_command("analyze", scene, out, quality, decimation, intervals, timing)
     with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, unchanged_inputs(paths) as inputs:
-        found, origin = _analysed(scene, quality, decimation, intervals, timing, progress, watch)
+        found, tracking = _analysed(scene, quality, decimation, intervals, timing, progress, watch)
         write_values(folder, found)
         record_replay(folder, found.record, progress, watch)
-        write_origin(folder, scene, command, inputs, watch, origin)
+        write_origin(folder, scene, command, inputs, watch, tracking)
         details = replace(found.details, origin=read_json(folder / "provenance.json"))
         write_pages(folder, found.record, details, shown, progress, watch)
     return replace(found, details=details, folder=Path(out), seconds=watch.seconds)
@@ -102,7 +102,7 @@ def _analysed(
         clip=tracking.clips[0],
         camera=tracking.cameras[0],
         fit=fit,
-        simulated=model_track(fit, tracking.frames) if fit.throw else None,
+        simulated=model_track(fit, tracking.frames),
         estimates=estimate_sequentially(tracking.unbiased, tracking.measured, tracking.die, fit, progress, watch),
         notices=tracking.notices,
     )

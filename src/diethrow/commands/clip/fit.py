@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from ...executors import one_thread
 from ...files.analysis_folder import AnalysedThrow, write_values
 from ...files.csv_and_json import read_json
@@ -27,7 +25,7 @@ from ...replay.recording import write_recording
 from ...runs import PLAIN, Progress, Shown, rate_hz, silent
 from ...tracking.footage import WHOLE_CLIP
 from ...tracking.throw import frames_in_flight, smooth
-from ...tracking.track import ABSENT, Track
+from ...tracking.track import Track
 from .track import FoundThrow, find_impacts, if_there, smoothed_notices, write_origin
 
 
@@ -71,7 +69,7 @@ def fit_track(
             measured=measured,
             fps=rate_hz(frames),
             fit=fit,
-            simulated=model_track(fit, frames) if fit.throw else None,
+            simulated=model_track(fit, frames),
             estimates=estimate_sequentially(frames, measured, die, fit, progress, watch, table),
             notices=notices,
         )
@@ -114,13 +112,9 @@ def estimate_sequentially(
         return sequential_estimates(frames_in_flight(frames, measured), measured, die, fit, table)
 
 
-def model_track(fit: Fit, frames: Track) -> Track:
-    """The model's poses on the frames of a track; without a fitted throw it has the rows and no numbers."""
-    if fit.throw is not None:
-        return simulated_track(fit.throw, frames.frame, frames.time_s)
-    n = len(frames)
-    nothing = np.full((n, 3), np.nan), np.full((n, 4), np.nan), np.full((n, 6, 6), np.nan)
-    return Track(frames.frame, frames.time_s, *nothing, np.full(n, ABSENT))
+def model_track(fit: Fit, frames: Track) -> Track | None:
+    """The model's poses on the frames of a track; None without a fitted throw."""
+    return None if fit.throw is None else simulated_track(fit.throw, frames.frame, frames.time_s)
 
 
 def refitted(analysis: AnalysedThrow, effects: tuple[str, ...] | None, intervals: IntervalMethod) -> AnalysedThrow:
@@ -131,10 +125,11 @@ def refitted(analysis: AnalysedThrow, effects: tuple[str, ...] | None, intervals
     choices = Choices(intervals, effects=effects)
     with one_thread():
         fit = run_fit(frames, record.measured, record.die, silent, watch, choices, table)
-        fit = replace(fit, messages=(*fit.messages, *analysis.scene.assumptions))
+        # A track from elsewhere knows nothing of what the scene assumes.
+        assumptions = [one for one in analysis.scene.assumptions if one in analysis.result.messages]
+        fit = replace(fit, messages=(*fit.messages, *assumptions))
         estimates = estimate_sequentially(frames, record.measured, record.die, fit, silent, watch, table)
-    simulated = model_track(fit, record.track) if fit.throw else None
-    record = replace(record, fit=fit, simulated=simulated, estimates=estimates)
+    record = replace(record, fit=fit, simulated=model_track(fit, record.track), estimates=estimates)
     return replace(analysis, record=record, folder=None, seconds=watch.seconds)
 
 

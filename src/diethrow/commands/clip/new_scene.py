@@ -7,6 +7,7 @@ frame drawn with the die found in it. What is missing is named, with how to get 
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from matplotlib.figure import Figure
 
 from ...files.outputs import OutputExistsError, whole_file
 from ...files.scene import read_scene
-from ...model.die import Solid
+from ...model.die import SHAPES, Solid
 from ...model.errors import InputError
 from ...replay.elements import Motion, motion_of
 from ...replay.figures import edges_on_frame
@@ -71,7 +72,6 @@ class Answers:
 
     shape: str = "cube"
     edge_mm: float | None = None
-    """Of a d10, cuboid or mesh, lengths stand in the scene file instead."""
     mass_g: float | None = None
     fps: float | None = None
     exposure_s: float | None = None
@@ -129,7 +129,11 @@ def new_scene(
     progress: Callable[[str], None] = lambda sentence: None,
 ) -> NewScene:
     """Write `scene.toml` into a folder, and check it. Raises OutputExistsError for a scene that is there, unless `force`, and
-    InputError for a folder without a clip."""
+    InputError for a folder without a clip, and for a shape that an edge does not describe."""
+    if answers.shape not in SHAPES:
+        raise InputError(
+            f"shape = {answers.shape}: wanted {', '.join(SHAPES)}; for any other die write the [die] table by hand"
+        )
     path = folder / "scene.toml"
     if path.exists() and not force:
         raise OutputExistsError(f"{path} exists; wanted a folder without a scene, or --force to replace it")
@@ -169,19 +173,19 @@ def scene_text(folder: Path, files: Sequence[FoundFile], clip: ClipRead, answers
         f"# {folder.resolve().name}: {clip.frames} frames of {clip.width_px} x {clip.height_px} pixels, {clip.bit_depth} bit.",
         "",
         "[clip]",
-        f'path = "{clip.path.name}"',
+        f"path = {toml_text(clip.path.name)}",
         _line("fps", rate, f"recording rate in frames per second, {origin}", "recording rate, not that of a player"),
         _line(
             "exposure_s", exposure, "time for which the shutter is open", "time for which the shutter is open, if known"
         ),
-        f'background = "{background}"   # the scene without the die'
+        f"background = {toml_text(background)}   # the scene without the die"
         if background
         else '# background = "background.png"   # a picture without the die; without it one is estimated from the clip',
         "",
         camera.rstrip() if camera is not None else "# [camera] is missing: see `diethrow calibrate`",
         "",
         "[table]",
-        f'surface = "{answers.surface}"   # "mirror" where the table reflects the die',
+        f'surface = {toml_text(answers.surface)}   # "mirror" where the table reflects the die',
         "",
         "[die]",
         f'shape = "{answers.shape}"',
@@ -306,6 +310,11 @@ def _missing(clip: ClipRead, answers: Answers, has_camera: bool) -> tuple[str, .
             "the table; call them board_*.png and board_on_table.png, and give --square-mm; or run diethrow calibrate"
         )
     return tuple(lacks)
+
+
+def toml_text(text: str) -> str:
+    """A TOML string; what JSON escapes, TOML escapes in the same way."""
+    return json.dumps(text, ensure_ascii=False)
 
 
 def _line(key: str, value: float | None, comment: str, wanted: str) -> str:

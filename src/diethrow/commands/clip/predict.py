@@ -208,9 +208,9 @@ class Law:
     parameters: dict[str, Parameter]
     restitution: Restitution
     covariance: ParameterCovariance | None
-    """Of the parameters; None in the fit of one throw."""
+    """Of the parameters; None where the fit has none."""
     misfit: Misfit | None
-    """The same of what the law misses."""
+    """What the law misses, in the fit of many throws."""
 
 
 def read_law(fit_path: Path) -> Law:

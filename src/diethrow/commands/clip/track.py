@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...executors import one_thread
+from ...files.analysis_folder import write_tracked
 from ...files.csv_and_json import write_json
-from ...files.measured_throw import TrackedThrow, write_measured_throw
+from ...files.measured_throw import TrackedThrow
 from ...files.outputs import whole_folder
 from ...files.provenance import Inputs, Stopwatch, provenance_table, unchanged_inputs
 from ...files.scene import Scene
 from ...files.settings import SceneError, refuse
-from ...files.throw_records import write_bounces, write_faces, write_track, write_vertices
 from ...fitting.results import IntervalMethod
 from ...model.die import Die
 from ...model.throw import Throw
@@ -74,7 +74,8 @@ def track_only(
     paths = input_paths(scene)
     with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, unchanged_inputs(paths) as inputs:
         tracking = track_scene(scene, progress, watch, quality, decimation=decimation, timing=timing)
-        write_tracking(folder, scene, tracking)
+        known = TrackedThrow(tracking.unbiased, tracking.measured, tracking.die, tracking.faces.numbers)
+        write_tracked(folder, tracking.smoothed, known)
         command = command or same_command("track", scene, out, quality, decimation, timing=timing)
         write_origin(folder, scene, command, inputs, watch, tracking)
     return tracking
@@ -161,17 +162,6 @@ def input_paths(scene: Scene) -> tuple[Path, ...]:
     backgrounds = [view.background_path for view in scene.cameras if view.background_path is not None]
     calibrations = [view.calibration_path for view in scene.cameras if view.calibration_path is not None]
     return tuple(dict.fromkeys((*scene.settings_paths, *clips, *backgrounds, *calibrations)))
-
-
-def write_tracking(folder: Path, scene: Scene, tracking: Tracking) -> None:
-    """The files of the tracking stage."""
-    write_vertices(folder / "vertices.csv", scene.die.solid)
-    write_track(folder / "track.csv", tracking.smoothed)
-    write_track(folder / "track_frames.csv", tracking.unbiased)
-    known = TrackedThrow(tracking.unbiased, tracking.measured, tracking.die, tracking.faces.numbers)
-    write_measured_throw(folder / "track_frames.csv", known)
-    write_bounces(folder / "bounces.csv", tracking.measured.impacts)
-    write_faces(folder / "faces.csv", tracking.die.solid, tracking.face_numbers)
 
 
 def _decimated(

@@ -22,6 +22,7 @@ from ...model.die import Die
 from ...model.ensembles import (
     BLOCK,
     ENDING_OF_INDEX,
+    HEIGHT_EDGES,
     Conditions,
     PaperConditions,
     Share,
@@ -39,8 +40,6 @@ from ...replay.figures import face_odds, lowest_again
 Progress = Callable[[str, int, int], None]
 
 CONDITIONS = ("paper", "uniform")
-HEIGHT_EDGES = (15.0, 20.0)
-"""Default range of the release height in edges of the die: that of the paper."""
 BLOCKS_PER_TASK = 8
 """Blocks that a worker of a cluster gets at once: one second of work, so that the time of sending is negligible."""
 MAX_AFTER = 1000

@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from ...files.analysis_folder import read_analysis
 from ...files.outputs import whole_file
 from ...files.scene import read_scene
+from ...files.settings import SceneError, read_toml
 from ...model.errors import DiethrowError, InputError
 from ...replay.elements import motions_of
 from ...replay.figures import stroboscope
@@ -27,7 +28,7 @@ from ...replay.pages import whole_page
 from ..clip.batch import Batch, Result, Standing, run_batch
 from ..clip.footage import clip_of_analysis
 from ..clip.joint_fit import fit_tracks
-from ..clip.new_scene import role_of
+from ..clip.new_scene import role_of, toml_text
 from ..clip.run_options import USUAL_OPTIONS, RunOptions
 
 POLL_S = 2.0
@@ -131,18 +132,30 @@ def _is_film(path: Path, now: tuple[int, int], seen: _Seen) -> bool:
 
 def _scene_for(clip: Path, template: Path, text: str) -> Path:
     """The scene file of a clip, beside the template, so that its other files are found from there."""
+    line = f"path = {toml_text(_relative(clip, template.parent))}"
     path = template.parent / f"{clip.stem}.toml"
-    if path == template or path.exists():
+    # Two clips may have one name and two endings, and one may be called as the template.
+    if path == template or (path.exists() and not _is_scene_of(path, clip)):
+        path = template.parent / f"{clip.stem}_{clip.suffix[1:]}.toml"
+    if path.exists():
         return path
     table = CLIP_TABLE.search(text)
     assert table is not None
-    line = f'path = "{_relative(clip, template.parent)}"'
     own = PATH_LINE.sub(lambda _: line, table.group(0), count=1)
     if own == table.group(0):
         own = table.group(0).replace("[clip]", f"[clip]\n{line}", 1)
     with whole_file(path) as file:
         file.write_text(text[: table.start()] + own + text[table.end() :], encoding="utf-8")
     return path
+
+
+def _is_scene_of(scene: Path, clip: Path) -> bool:
+    """Whether a scene file names a clip; one that is damaged is left to the analysis, which says so."""
+    try:
+        named = read_toml(scene)[0]["clip"]["path"]
+    except (SceneError, KeyError, TypeError):
+        return True
+    return (scene.parent / str(named)).resolve() == clip.resolve()
 
 
 def _relative(path: Path, folder: Path) -> str:
