@@ -34,8 +34,13 @@ def source_digest(path: Path) -> str:
 
     Raises ImportError for an import that leads to no file.
     """
-    digests = sorted({hashlib.sha256(file.read_bytes()).hexdigest() for file in _reached(path)})
+    digests = sorted({_file_digest(file) for file in _reached(path)})
     return hashlib.sha256("".join(digests).encode()).hexdigest()
+
+
+@cache
+def _file_digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _reached(path: Path) -> set[Path]:

@@ -46,18 +46,16 @@ def rotvec_from_quat(quaternion: ArrayLike) -> Array:
 
 def quat_multiply(left: ArrayLike, right: ArrayLike) -> Array:
     """Hamilton products (..., 4): the rotation `right`, then `left`. The sign is kept, unlike in scipy's composition."""
-    a, b = np.broadcast_arrays(np.asarray(left, float), np.asarray(right, float))
-    aw, ax, ay, az = np.moveaxis(a, -1, 0)
-    bw, bx, by, bz = np.moveaxis(b, -1, 0)
-    return np.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        axis=-1,
-    )
+    a, b = np.asarray(left, float), np.asarray(right, float)
+    aw, ax, ay, az = a[..., 0], a[..., 1], a[..., 2], a[..., 3]
+    bw, bx, by, bz = b[..., 0], b[..., 1], b[..., 2], b[..., 3]
+    w = aw * bw - ax * bx - ay * by - az * bz
+    product = np.empty((*np.shape(w), 4))
+    product[..., 0] = w
+    product[..., 1] = aw * bx + ax * bw + ay * bz - az * by
+    product[..., 2] = aw * by - ax * bz + ay * bw + az * bx
+    product[..., 3] = aw * bz + ax * by - ay * bx + az * bw
+    return product
 
 
 def quat_conjugate(quaternion: ArrayLike) -> Array:

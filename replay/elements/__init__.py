@@ -49,6 +49,7 @@ from .record import motion_of as motion_of
 from .record import motions_of as motions_of
 from .record import residuals as residuals
 from .record import track_of as track_of
+from .video import VideoEncoding as VideoEncoding
 from .video import Window as Window
 from .video import can_encode_av1 as can_encode_av1
 from .video import display_window as display_window

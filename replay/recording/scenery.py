@@ -12,7 +12,18 @@ from numpy.typing import NDArray
 from ...model.die import Solid
 from ...tracking.camera import Camera
 from ...tracking.footage import Clip
-from ..elements import GRID, IMPACT, TABLE, Motion, Record, can_encode_av1, display_window, encode_av1, encode_jpegs
+from ..elements import (
+    GRID,
+    IMPACT,
+    TABLE,
+    Motion,
+    Record,
+    VideoEncoding,
+    can_encode_av1,
+    display_window,
+    encode_av1,
+    encode_jpegs,
+)
 from .timelines import on_frames
 
 Array = NDArray[np.float64]
@@ -91,13 +102,16 @@ def send_table(recording: rr.RecordingStream, low_m: Array, high_m: Array) -> No
     recording.log("world/table/grid", rr.LineStrips3D(lines, radii=-0.4, colors=[GRID]), static=True)
 
 
-def send_footage(recording: rr.RecordingStream, record: Record) -> tuple[str, ...]:
-    """Send the camera and its video, if there are any; returns notices about the images, one sentence each."""
+def send_footage(
+    recording: rr.RecordingStream, record: Record, encoding: VideoEncoding | None = None
+) -> tuple[str, ...]:
+    """Send the camera and its video, if there are any; returns notices about the images, one sentence each. `encoding` is that of
+    the record's clip, if it was begun before."""
     if record.camera is not None:
         _send_camera(recording, record.camera)
     if record.clip is None:
         return ("This recording contains no video.",)
-    return _send_video(recording, record.clip)
+    return _send_video(recording, record.clip, encoding)
 
 
 def _send_camera(recording: rr.RecordingStream, camera: Camera) -> None:
@@ -115,7 +129,7 @@ def _send_camera(recording: rr.RecordingStream, camera: Camera) -> None:
     )
 
 
-def _send_video(recording: rr.RecordingStream, clip: Clip) -> tuple[str, ...]:
+def _send_video(recording: rr.RecordingStream, clip: Clip, encoding: VideoEncoding | None) -> tuple[str, ...]:
     """Send the clip as AV1, or as JPEG images if this FFmpeg has no AV1 encoder; returns notices."""
     window = display_window(clip)
     entity, frames = "world/camera/image", clip.first_frame + np.arange(len(clip), dtype=np.int64)
@@ -124,7 +138,8 @@ def _send_video(recording: rr.RecordingStream, clip: Clip) -> tuple[str, ...]:
         levels = f"{window.black:.0f} to {window.white:.0f}"
         notices.append(f"The video shows the grey levels {levels} of {clip.bit_depth} bits as black to white.")
     if can_encode_av1():
-        video = rr.AssetVideo(contents=encode_av1(clip, window), media_type="video/mp4")
+        encoded = encode_av1(clip, window) if encoding is None else encoding.result()
+        video = rr.AssetVideo(contents=encoded, media_type="video/mp4")
         timestamps_ns = video.read_frame_timestamps_nanos()
         assert len(timestamps_ns) == len(clip), f"{len(timestamps_ns)} frames in the video of {len(clip)}"
         recording.log(entity, video, static=True)

@@ -37,6 +37,7 @@ from ..elements import (
     Motion,
     Record,
     Residuals,
+    VideoEncoding,
     bounce_sentence,
     markdown,
     motion_of,
@@ -67,10 +68,11 @@ APPLICATION = "diethrow"
 """The viewer lists all recordings of one application in one table, with their properties."""
 
 
-def write_recording(path: Path, record: Record) -> None:
+def write_recording(path: Path, record: Record, encoding: VideoEncoding | None = None) -> None:
     """Write the throw as a Rerun recording with its views. `diethrow replay` and `rerun PATH` open it.
 
     Parts that the record lacks (clip, camera, fit) are absent from the recording, and frames without a pose show no die.
+    `encoding` is the video of the record's clip, if its encoding was begun before.
     Raises OSError if the file cannot be written.
     """
     motions = motions_of(record)
@@ -83,7 +85,7 @@ def write_recording(path: Path, record: Record) -> None:
     with open_recording(path, record.title, _identity(record.title, motions), blueprint(contents)) as recording:
         _send_properties(recording, record)
         send_table(recording, bounds.low_m, bounds.high_m)
-        display = send_footage(recording, record)
+        display = send_footage(recording, record, encoding)
         scale = arrow_scale(record.die.solid, motions)
         for motion in motions:
             _send_motion(recording, record.die, motion, clock, scale, bounds)

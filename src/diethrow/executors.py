@@ -11,7 +11,8 @@ import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from importlib import import_module
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -227,6 +228,24 @@ def _limit_to_one_thread() -> Callable[[], None]:
         cv2.setNumThreads(before)
 
     return undo
+
+
+@contextmanager
+def loaded_ahead(*modules: str) -> Iterator[None]:
+    """Load modules in a thread while the block runs, which waits for the thread at its end. A module that cannot be loaded raises
+    its error where it is used."""
+
+    def load() -> None:
+        for name in modules:
+            with suppress(ImportError):
+                import_module(name)
+
+    thread = threading.Thread(target=load, name="loading")
+    thread.start()
+    try:
+        yield
+    finally:
+        thread.join()
 
 
 @contextmanager

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from ...model.errors import InputError
 from .clip import Clip, FillsFrames
+from .reader import KEPT_BYTES, Footage
 
 Frames = NDArray[Any]
 Rows = NDArray[np.int64]
@@ -33,9 +34,6 @@ BLOCKS_AHEAD = 2
 """Blocks that wait for their reader: one hides an uneven decoder, and more only take memory."""
 RECENT_BYTES = 2**26
 """Memory for single frames read at random access."""
-KEPT_BYTES = 2**27
-"""Largest clip that is kept whole: 512 frames of 512 × 512 px and 8 bit. The formats that take longest to decode hold seconds,
-not minutes; a larger clip comes in a format that costs little to read again."""
 POLL_S = 0.1
 """Longest time after which the reading thread notices that nobody waits for its blocks any more."""
 
@@ -113,7 +111,9 @@ class FrameSource:
         self._max_recent = max(4, RECENT_BYTES // frame_bytes)
         self._pool = _BufferPool((self.block_frames, *self._shape), self._dtype)
         self._kept: Frames | None = None
-        if len(self) * frame_bytes <= KEPT_BYTES:
+        if (kept := _kept_by(self.clips)) is not None:
+            self._kept, self._is_kept = kept[0][:, None], kept[1]
+        elif len(self) * frame_bytes <= KEPT_BYTES:
             self._kept, self._is_kept = np.zeros((len(self), *self._shape), self._dtype), np.zeros(len(self), bool)
 
     def __len__(self) -> int:
@@ -220,6 +220,12 @@ class FrameSource:
             return FrameBlock(rows, self._kept[rows[0] : rows[-1] + 1])
         buffer = self._pool.take()
         return FrameBlock(rows, buffer[: len(rows)], self._pool, buffer)
+
+
+def _kept_by(clips: Sequence[Clip]) -> tuple[Frames, NDArray[np.bool_]] | None:
+    """The frames that a single clip keeps itself, and which of them are there."""
+    only = clips[0] if len(clips) == 1 else None
+    return only.kept_frames if isinstance(only, Footage) else None
 
 
 class _ClipReader:

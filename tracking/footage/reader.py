@@ -39,6 +39,9 @@ MOSAIC = "raw mosaic of a colour sensor"
 """Words of the notice on frames with colour filters."""
 MAX_LISTED = 8
 """Most frame numbers that a notice lists."""
+KEPT_BYTES = 2**27
+"""Largest film whose decoded frames are kept: 512 frames of 512 × 512 px and 8 bit. The formats that take longest to decode hold
+seconds, not minutes; a larger film comes in a format that costs little to read again."""
 
 
 class DuplicateDetector:
@@ -107,6 +110,11 @@ class Footage(ABC):
         self._facts = facts or {}
         self._duplicates = DuplicateDetector(stop - first)
         self._last: tuple[int, Frame] | None = None
+        self._kept: Frame | None = None
+        self._is_kept = np.zeros(stop - first, bool)
+        shape, dtype = (stop - first, height_px, width_px), np.uint8 if bit_depth <= 8 else np.uint16
+        if not self.in_any_order and int(np.prod(shape)) * np.dtype(dtype).itemsize <= KEPT_BYTES:
+            self._kept = np.zeros(shape, dtype)
 
     def __len__(self) -> int:
         return len(self.times_s)
@@ -144,7 +152,7 @@ class Footage(ABC):
             raise IndexError(f"{self.path.name}: frame {index} was asked for; the clip has 0 to {len(self) - 1}")
         if self._last is not None and self._last[0] == index:
             return self._last[1].copy()
-        frame = self._read(self.first_frame + index)
+        frame = self._kept_or_read(index)
         self._duplicates.add(index, frame)
         self._last = (index, frame)
         return frame.copy()
@@ -153,6 +161,25 @@ class Footage(ABC):
         """Frames `start` to `stop` in order; raises as `frame` does."""
         for index in range(start, len(self) if stop is None else stop):
             yield self.frame(index)
+
+    @property
+    def kept_frames(self) -> tuple[Frame, NDArray[np.bool_]] | None:
+        """The decoded frames (n, height, width), not to be written to, and which of them are there (n,); None if none are kept."""
+        return None if self._kept is None else (self._kept, self._is_kept)
+
+    def _kept_or_read(self, index: int) -> Frame:
+        """The frame at `index`, read from the file at most once where decoded frames are kept; not to be written to."""
+        if self._kept is None:
+            return self._read(self.first_frame + index)
+        if not self._is_kept[index]:
+            self._keep(self.first_frame + index, self._read(self.first_frame + index))
+        return self._kept[index]
+
+    def _keep(self, number: int, frame: Frame) -> None:
+        """Keep frame `number` of the file, which a reader may have decoded on its way to another; nothing without room."""
+        index = number - self.first_frame
+        if self._kept is not None and 0 <= index < len(self) and frame.dtype == self._kept.dtype:
+            self._kept[index], self._is_kept[index] = frame, True
 
     def fill(self, start: int, out: Frame, boxes: NDArray[np.int64] | None = None) -> None:
         """Write the frames from `start` on into `out` (n, height, width).
@@ -175,7 +202,7 @@ class Footage(ABC):
 
     def _read_into(self, number: int, out: Frame, box: tuple[int, int, int, int]) -> None:
         """Write at least a box of frame `number` into `out` (height, width); a raw format need not unpack the rest."""
-        out[:] = self._read(number)
+        out[:] = self._kept_or_read(number - self.first_frame)
 
 
 def times_from_rate(

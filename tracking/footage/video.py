@@ -113,6 +113,7 @@ class VideoClip(Footage):
         self._mono = _is_monochrome_h264(stream.codec_context)
         self._decoded: Iterator[tuple[int, av.VideoFrame]] = iter(())
         self._next_number = -1
+        self._kept = None  # until the size of the frames is known
         self.path = path
         count = self._count_readable()
         sample = self._decode(0)
@@ -148,6 +149,13 @@ class VideoClip(Footage):
             )
         return frame
 
+    def _keep_on_the_way(self, number: int, decoded: av.VideoFrame) -> None:
+        """Keep a frame that was decoded to reach a later one, where frames are kept: it will be asked for as well."""
+        if self.kept_frames is not None:
+            grey = self._upright(decoded)
+            if grey.shape == (self.height_px, self.width_px):
+                self._keep(number, grey)
+
     def _upright(self, decoded: av.VideoFrame) -> Frame:
         """Grey levels of a frame, turned as the file asks players to."""
         grey = _grey(decoded, self._mono)
@@ -168,6 +176,7 @@ class VideoClip(Footage):
                 if place == number:
                     self._next_number = number + 1
                     return frame
+                self._keep_on_the_way(place, frame)
         except av.error.FFmpegError as error:
             raise InputError(f"{self.path.name}: frame {number} cannot be decoded; {_hint(number)}") from error
         raise InputError(f"{self.path.name}: frame {number} is missing from the film; {_hint(number)}")

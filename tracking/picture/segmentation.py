@@ -140,19 +140,30 @@ def noise_beside_die(image: Image, background: Image, noise_grey: float) -> floa
     smooth, such as a shadow; 0 if there is none. A codec repeats a still background without any noise, and leaves its errors
     about what moves."""
     mask = differs_from_background(image, background, noise_grey)
-    count, parts, stats, _ = cv2.connectedComponentsWithStats(
-        cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((SMOOTHED_PX, SMOOTHED_PX), np.uint8))
-    )
+    box, _ = _about(mask, SMOOTHED_PX)
+    opened = cv2.morphologyEx(mask[box].astype(np.uint8), cv2.MORPH_OPEN, np.ones((SMOOTHED_PX, SMOOTHED_PX), np.uint8))
+    count, parts, stats, _ = cv2.connectedComponentsWithStats(opened)
     if count < 2:
         return 0.0
-    region = (parts == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))).astype(np.uint8)
+    whole = np.zeros(mask.shape, bool)
+    whole[box] = parts == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+    box, _ = _about(whole, max(RING_PX) + ROUGH_PX)
+    region = whole[box].astype(np.uint8)
     near, far = (
         cv2.dilate(region, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1)))
         for reach in RING_PX
     )
-    difference = image - background
+    difference = image[box] - background[box]
     rough = np.abs(difference - cv2.blur(difference, (ROUGH_PX, ROUGH_PX)))[(far > 0) & (near == 0)]
     return NORMAL_MAD * float(np.median(rough)) if len(rough) >= LEAST_RING_PX else 0.0
+
+
+def _about(mask: Mask, margin_px: int) -> tuple[tuple[slice, slice], tuple[int, int]]:
+    """The part of a picture that shows all of a mask with a margin, and its upper left pixel x, y: most of a picture is
+    background, and need not be looked through for regions."""
+    x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
+    x0, y0 = max(x - margin_px, 0), max(y - margin_px, 0)
+    return np.s_[y0 : y + h + margin_px, x0 : x + w + margin_px], (x0, y0)
 
 
 def differs_from_background(image: Image, background: Image, noise_grey: float, level_grey: float = 1.0) -> Mask:
@@ -205,15 +216,16 @@ def without_rims(image: Image, background: Image, mask: Mask, lit: Mask) -> Mask
 
 def largest_blob(mask: Mask, holes_px: int = 7) -> Blob | None:
     """The largest connected region of at least LEAST_BLOB_PX, holes and specks smoothed away; None if there is none."""
-    clean = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((SMOOTHED_PX, SMOOTHED_PX), np.uint8))
+    part, (x0, y0) = _about(mask, SMOOTHED_PX + holes_px)
+    clean = cv2.morphologyEx(mask[part].astype(np.uint8), cv2.MORPH_OPEN, np.ones((SMOOTHED_PX, SMOOTHED_PX), np.uint8))
     clean = cv2.morphologyEx(clean, cv2.MORPH_CLOSE, np.ones((holes_px, holes_px), np.uint8))
     count, _, stats, centres = cv2.connectedComponentsWithStats(clean)
     if count < 2:
         return None
     k = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
-    x, y, w, h, area = (int(v) for v in stats[k])
+    x, y, w, h, area = (int(v) for v in stats[k] + [x0, y0, 0, 0, 0])
     if area < LEAST_BLOB_PX:
         return None
     border = min(x, y) <= NEAR_BORDER_PX
     border = border or x + w >= mask.shape[1] - NEAR_BORDER_PX or y + h >= mask.shape[0] - NEAR_BORDER_PX
-    return Blob(np.asarray(centres[k], float), float(area), (x, y, x + w, y + h), border)
+    return Blob(np.asarray(centres[k] + [x0, y0], float), float(area), (x, y, x + w, y + h), border)

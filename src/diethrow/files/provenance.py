@@ -45,22 +45,51 @@ and the stages that follow frame by frame leave a core idle."""
 LOGGER = logging.getLogger("diethrow")
 
 
+@dataclass(frozen=True)
+class TimedStage:
+    """One stage of a run, on the clock of the run."""
+
+    stage: str
+    thread: str
+    """`main`, or the name of a thread that worked beside it."""
+    start_s: float
+    """Since the run began."""
+    wall_s: float
+    processor_s: float
+    """Of this thread alone: threads that it started and waited for are not in it."""
+
+
 @dataclass
 class Stopwatch:
-    """Duration of each stage of a run [s], in the order in which they ended."""
+    """Times of the stages of a run."""
 
     seconds: dict[str, float] = field(default_factory=dict)
+    """Duration of each stage of the main thread [s], in the order in which they ended."""
+    line: list[TimedStage] = field(default_factory=list)
+    """Every stage of every thread, in the order in which they ended."""
+    _began_s: float = field(default_factory=time.perf_counter)
+    _thread: threading.Thread = field(default_factory=threading.current_thread)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Time the block under `name`; the times of a stage that is entered again add up."""
-        start = time.perf_counter()
+        start, start_processor = time.perf_counter(), time.thread_time()
         try:
             yield
         finally:
-            passed = time.perf_counter() - start
-            self.seconds[name] = self.seconds.get(name, 0.0) + passed
-            LOGGER.info("%s: %.3f s", name, passed)
+            passed, processor = time.perf_counter() - start, time.thread_time() - start_processor
+            own = threading.current_thread() is self._thread
+            thread = "main" if own else threading.current_thread().name
+            self.line.append(TimedStage(name, thread, start - self._began_s, passed, processor))
+            if own:
+                self.seconds[name] = self.seconds.get(name, 0.0) + passed
+            LOGGER.info("%s: %.3f s (thread %s, processor time %.3f s)", name, passed, thread, processor)
+
+    @property
+    def time_line(self) -> list[dict[str, Any]]:
+        """The stages of all threads by their start, for `provenance.json`."""
+        ordered = sorted(self.line, key=lambda one: one.start_s)
+        return [{name: round(v, 4) if isinstance(v, float) else v for name, v in vars(one).items()} for one in ordered]
 
 
 class InputChangedError(DiethrowError, OSError):
@@ -234,9 +263,10 @@ def provenance_table(
     }
 
 
-def add_timings(path: Path, seconds: dict[str, float]) -> None:
-    """Replace the timings of a provenance that was written before the last stages of its run."""
-    write_json(path, {**read_json(path), "timings_s": _rounded(seconds)})
+def add_timings(path: Path, watch: Stopwatch) -> None:
+    """Replace the timings of a provenance that was written before the last stages of its run, and add the time line of the run's
+    stages and threads."""
+    write_json(path, {**read_json(path), "timings_s": _rounded(watch.seconds), "time_line": watch.time_line})
 
 
 def _rounded(seconds: dict[str, float]) -> dict[str, float]:

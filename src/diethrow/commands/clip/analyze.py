@@ -9,22 +9,25 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from ...executors import one_thread
+from ...executors import loaded_ahead, one_thread
 from ...files.analysis_folder import AnalysedThrow, write_values
 from ...files.csv_and_json import read_json
 from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, unchanged_inputs
 from ...files.scene import Scene
 from ...fitting.results import Choices, IntervalMethod
-from ...replay.elements import Record
-from ...replay.pages import ReportDetails
+from ...replay.elements import Record, ReportDetails, VideoEncoding
 from ...runs import PLAIN, Progress, Shown, Tracking, rate_hz, silent
 from ...tracking.check import Finding, contact_heights, fall_of_correlated_frames, frame_timing, judge_throw
 from ...tracking.footage import WHOLE_CLIP, Decimation
 from ...tracking.quality import STANDARD, Quality
 from ...tracking.timing import Timing
 from .fit import estimate_sequentially, model_track, record_replay, run_fit, write_pages
+from .footage import first_clip
 from .track import check_scene, input_paths, origin_table, same_command, track_scene, write_origin
+
+WRITERS = ("diethrow.replay.recording", "diethrow.replay.pages")
+"""Loaded in a thread while frames are tracked: Rerun takes a third of a second."""
 
 
 def analyze(
@@ -52,10 +55,16 @@ def analyze(
     check_scene(scene)
     paths = input_paths(scene)
     command = command or same_command("analyze", scene, out, quality, decimation, intervals, timing)
-    with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, unchanged_inputs(paths) as inputs:
+    with (
+        one_thread(),
+        whole_folder(out, force=force, inputs=paths) as folder,
+        unchanged_inputs(paths) as inputs,
+        loaded_ahead(*WRITERS),
+        VideoEncoding(lambda: first_clip(scene, decimation), watch.stage) as encoding,
+    ):
         found, tracking = _analysed(scene, quality, decimation, intervals, timing, progress, watch)
         write_values(folder, found)
-        record_replay(folder, found.record, progress, watch)
+        record_replay(folder, found.record, progress, watch, encoding if encoding.available else None)
         write_origin(folder, scene, command, inputs, watch, tracking)
         details = replace(found.details, origin=read_json(folder / "provenance.json"))
         write_pages(folder, found.record, details, shown, progress, watch)

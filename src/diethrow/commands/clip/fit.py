@@ -19,9 +19,7 @@ from ...fitting.throw import fit_throw
 from ...model.die import Die
 from ...model.laws import Table as ModelTable
 from ...model.throw import Throw, turning_of
-from ...replay.elements import Record
-from ...replay.pages import ReportDetails, write_figures, write_report
-from ...replay.recording import write_recording
+from ...replay.elements import Record, ReportDetails, VideoEncoding
 from ...runs import PLAIN, Progress, Shown, rate_hz, silent
 from ...tracking.footage import WHOLE_CLIP
 from ...tracking.throw import frames_in_flight, smooth
@@ -133,25 +131,31 @@ def refitted(analysis: AnalysedThrow, effects: tuple[str, ...] | None, intervals
     return replace(analysis, record=record, folder=None, seconds=watch.seconds)
 
 
-def record_replay(folder: Path, record: Record, progress: Progress, watch: Stopwatch) -> None:
-    """Write replay.rrd, if there is room for it."""
+def record_replay(
+    folder: Path, record: Record, progress: Progress, watch: Stopwatch, encoding: VideoEncoding | None = None
+) -> None:
+    """Write replay.rrd, if there is room for it; `encoding` is the video of the record's clip, if it was begun before."""
+    from ...replay.recording import write_recording  # Rerun, which takes a third of a second to load
+
     check_free_space(folder, _replay_bytes(record))
     with watch.stage("replay"):
         progress("Writing the replay", 0, 0)
-        write_recording(folder / "replay.rrd", record)
+        write_recording(folder / "replay.rrd", record, encoding)
 
 
 def write_pages(
     folder: Path, record: Record, account: ReportDetails, shown: Shown, progress: Progress, watch: Stopwatch
 ) -> None:
     """Write the report, with the provenance, and the figures; then add their time to the provenance."""
+    from ...replay.pages import write_figures, write_report
+
     with watch.stage("report"):
         progress("Writing the report", 0, 0)
         replay = folder / "replay.rrd" if shown.embed_replay else None
         write_report(folder / "report.html", record, account, replay)
         if shown.figures:
             write_figures(folder / "figures", record, account)
-    add_timings(folder / "provenance.json", watch.seconds)
+    add_timings(folder / "provenance.json", watch)
 
 
 def _replay_bytes(record: Record) -> int:

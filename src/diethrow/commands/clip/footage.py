@@ -22,6 +22,7 @@ from ...tracking.footage import (
     MOSAIC,
     TURNED,
     Clip,
+    Decimation,
     clip_without_mosaic,
     has_mosaic,
     load_background,
@@ -119,6 +120,13 @@ def open_background(scene: Scene, view: View, clip: Clip) -> NDArray[np.float32]
         return picture_in_light(smoothed(picture) if has_mosaic(clip) else picture, clip, scene.clip.response)
     except (ValueError, OSError) as error:
         raise SceneError(f"{scene.path}: clip.background = {view.background_path.name}: {error}") from error
+
+
+def first_clip(scene: Scene, decimation: Decimation) -> Clip:
+    """The frames of the first camera that an analysis uses, for another reader. Raises as `open_frames`, without its checks."""
+    view = scene.views()[0]
+    clip = open_frames(scene, view, scene.clip.frame_range)
+    return clip if decimation.is_whole else decimation.clip(clip)
 
 
 def clip_of_analysis(found: AnalysedThrow) -> Clip | None:

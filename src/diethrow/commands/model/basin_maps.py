@@ -10,7 +10,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ...executors import width
@@ -308,6 +307,8 @@ def predictability_table(plan: BasinsPlan, measured: Predictability) -> dict[str
 
 def draw_map(path: Path, plan: BasinsPlan, mapped: BasinMap) -> None:
     """Write the figure of the map with axes and legend, with about MAP_PIXELS of each side."""
+    from matplotlib.figure import Figure  # a third of a second, after the first result
+
     figure = Figure(figsize=(10.0, 7.0), dpi=160, layout="constrained")
     rows, columns = (max(1, n // MAP_PIXELS) for n in mapped.face.shape)
     face, ending = mapped.face[::rows, ::columns], mapped.ending[::rows, ::columns]
@@ -330,6 +331,8 @@ def draw_pixels(path: Path, mapped: BasinMap) -> None:
 
 def draw_predictability(path: Path, plan: BasinsPlan, measured: Predictability) -> None:
     """Write the figure of f(ε) with its fitted slope, and of the measures of balls."""
+    from matplotlib.figure import Figure  # a third of a second, after the first result
+
     figure = Figure(figsize=(11.0, 4.4), dpi=150, layout="constrained")
     left, right = figure.subplots(1, 2)
     uncertain_shares(left, measured.sensitivity, measured.exponent).set_title("predictability", loc="left")

@@ -7,10 +7,9 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from scipy.special import chdtrc
 
 from ...executors import width
@@ -36,6 +35,9 @@ from ...model.errors import InputError
 from ...model.laws import LEVEL, CoulombImpact, ImpactLaw, SmoothImpact, Table
 from ...model.throw import Ending
 from ...replay.figures import face_odds, lowest_again
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Progress = Callable[[str, int, int], None]
 
@@ -180,6 +182,8 @@ def write_rows(path: Path, plan: OddsPlan, tallies: tuple[Tally, ...]) -> None:
 def draw_odds(path: Path, plan: OddsPlan, tallies: tuple[Tally, ...]) -> None:
     """Write the figure: odds of the faces among the throws that landed, and of the face that was lowest at release."""
     faces = len(tallies[0].landed)
+    from matplotlib.figure import Figure  # a third of a second, after the first result
+
     figure = Figure(figsize=(11.0, 4.4), dpi=150, layout="constrained")
     left, right = figure.subplots(1, 2)
     names = [_name(chi, tally) for chi, tally in zip(plan.chi, tallies, strict=True)]

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from ...files.csv_and_json import write_json
 from ...files.outputs import whole_folder
@@ -185,6 +184,8 @@ def _messages(plan: LyapunovPlan, result: LyapunovExponents) -> list[str]:
 
 def draw(path: Path, plan: LyapunovPlan, result: LyapunovExponents | ErrorGrowth) -> None:
     """Write the figure: the convergence of the estimates, or the growth of an error."""
+    from matplotlib.figure import Figure  # a third of a second, after the first result
+
     figure = Figure(figsize=(8.0, 5.0), dpi=150, layout="constrained")
     ax = figure.add_subplot()
     if isinstance(result, ErrorGrowth):

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from ...files.csv_and_json import write_json
 from ...files.fit_records import state_table
@@ -18,8 +17,6 @@ from ...files.throw_records import simulated_track, write_bounces, write_simulat
 from ...model.ensembles import ThrowSetup, decidable_in_double_precision
 from ...model.throw import BodyKind, Ending, ThrowResult, Until, body_kind, throw_die
 from ...replay.figures import throw_heights
-from ...replay.pages import throw_page
-from ...replay.recording import write_throw_recording
 from ...tracking.track import Track
 
 MAX_ROWS = 10_000_000
@@ -50,8 +47,12 @@ def throw(
         with watch.stage("figure"):
             draw_heights(folder / "heights.png", plan, result)
         with watch.stage("replay"):
+            from ...replay.recording import write_throw_recording  # Rerun, which takes a third of a second to load
+
             write_throw_recording(folder / "replay.rrd", plan.die, result.throw, plan.fps, plan.path.stem)
             if embed_replay:
+                from ...replay.pages import throw_page
+
                 title, sentences = plan.path.stem, table["messages"]
                 page = throw_page(title, plan.die, result.throw, sentences, folder / "replay.rrd")
                 (folder / "replay.html").write_text(page, encoding="utf-8")
@@ -105,6 +106,8 @@ def throw_table(plan: Plan, result: ThrowResult) -> dict[str, Any]:
 
 def draw_heights(path: Path, plan: Plan, result: ThrowResult) -> None:
     """Write the figure of the heights of all corners over time, with the impacts."""
+    from matplotlib.figure import Figure  # a third of a second, after the first result
+
     figure = Figure(figsize=(9.0, 5.0), dpi=150, layout="constrained")
     throw_heights(figure.add_subplot(), plan.die.solid, result.throw)
     figure.savefig(path)
