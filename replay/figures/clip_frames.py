@@ -1,9 +1,9 @@
 """Figures made of frames of the clip: one frame, a multiple exposure of the throw, and strips of frames around bounces.
 
 The multiple exposure follows Fig. 4 of Kapitaniak et al. (Chaos 22, 047504, 2012). The die of each chosen frame is cut out
-along its measured silhouette and laid over the empty scene, later frames on top. The empty scene is the median of frames
-spread over the clip: a moving die covers any one place on few of them. The visible edges of each motion are drawn on top,
-so that differences between experiment and model are visible where they occur.
+along its measured silhouette and laid over the empty scene, later frames on top. The empty scene is the median of the same
+frames: a place that a die covers on any of them is covered by a cut-out as well, so no die is left in what is seen of it. The
+visible edges of each motion are drawn on top, so that differences between experiment and model are visible where they occur.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ...model.die import Solid
 from ...model.errors import InputError
 from ...model.throw import Impact
-from ..elements import COLOURS, POINTS_PER_EDGE, Motion, VisibleEdges, Window, display_window, hex_colour, visible_edges
+from ..elements import COLOURS, POINTS_PER_EDGE, Motion, VisibleEdges, display_window, hex_colour, visible_edges
 from .plot_axes import AnyAxes, PlotAxes
 
 if TYPE_CHECKING:
@@ -37,8 +37,6 @@ MAX_CANDIDATES = 400
 """Frames that are tried as exposures: two neighbours of a denser selection would always overlap."""
 MAX_OVERLAP = 0.45
 """Share of a die that other exposures may cover. Bounces are always shown and may be covered more."""
-SCENE_FRAMES = 25
-"""Frames whose median is the empty scene: a die appears in it only if it stands at one place in half of them."""
 SAMPLES = 16
 """Points of each straight part of an edge at which it may end behind a later die: one for about two pixels."""
 CUT_MARGIN_PX = 1
@@ -65,12 +63,13 @@ def stroboscope(ax: AnyAxes, clip: Clip, camera: Camera, solid: Solid, motions: 
     """
     rows = _exposures(clip, camera, solid, motions[0])
     window = display_window(clip)
-    picture = _empty_scene(clip, window)
-    drawn = visible_edges(solid, camera, motions[0].position_m[rows], motions[0].quaternion[rows])
     frames = motions[0].frame[rows].tolist()
+    pictures = [window.apply(clip.frame(frame - clip.first_frame)) for frame in frames]
+    drawn = visible_edges(solid, camera, motions[0].position_m[rows], motions[0].quaternion[rows])
+    picture = _median(pictures)
     cuts = [_cut_out(edges, picture.shape) for edges in drawn]
-    for frame, cut in zip(frames, cuts, strict=True):
-        cv2.copyTo(window.apply(clip.frame(frame - clip.first_frame)), cut, picture)
+    for exposure, cut in zip(pictures, cuts, strict=True):
+        cv2.copyTo(exposure, cut, picture)
     _show(ax, picture)
     edges = _edges_by_motion(camera, solid, motions, frames)
     lines: dict[str, list[Array]] = {name: [] for name in edges}
@@ -258,15 +257,16 @@ def _exposures(clip: Clip, camera: Camera, solid: Solid, motion: Motion) -> NDAr
     step = max(1, len(in_clip) // MAX_CANDIDATES)
     rows = sorted({*in_clip[::step].tolist(), *wanted})
     drawn = visible_edges(solid, camera, motion.position_m[rows], motion.quaternion[rows])
-    masks = {row: _silhouette_mask(edges, shape) > 0 for row, edges in zip(rows, drawn, strict=True)}
-    covered = np.zeros(shape, bool)
+    covered = np.zeros(shape, np.uint8)
     for row in wanted:
-        covered |= masks[row]
-    for row in rows:
-        area = int(masks[row].sum())
-        if len(wanted) < MAX_EXPOSURES and area and (masks[row] & covered).sum() <= MAX_OVERLAP * area:
-            wanted.add(row)
-            covered |= masks[row]
+        covered |= _silhouette_mask(drawn[rows.index(row)], shape)
+    for row, edges in zip(rows, drawn, strict=True):
+        if len(wanted) < MAX_EXPOSURES and row not in wanted:
+            mask = _silhouette_mask(edges, shape)
+            area = cv2.countNonZero(mask)
+            if area and cv2.countNonZero(mask & covered) <= MAX_OVERLAP * area:
+                wanted.add(row)
+                covered |= mask
     return np.array(sorted(wanted), np.int64)
 
 
@@ -338,8 +338,10 @@ def _silhouette_mask(edges: VisibleEdges, shape: tuple[int, ...]) -> Image:
     return mask
 
 
-def _empty_scene(clip: Clip, window: Window) -> Image:
-    """The median of SCENE_FRAMES frames spread over the clip."""
-    chosen = np.unique(np.linspace(0, len(clip) - 1, SCENE_FRAMES).round().astype(int))
-    frames = np.stack([window.apply(clip.frame(int(k))) for k in chosen])
-    return np.median(frames, axis=0).astype(np.uint8)
+def _median(frames: Sequence[Image]) -> Image:
+    """The median of pictures, by odd-even transposition: whole pictures are compared at a time, ten times as fast as NumPy."""
+    stack = [frame.copy() for frame in frames]
+    for turn in range(len(stack)):
+        for k in range(turn % 2, len(stack) - 1, 2):
+            stack[k], stack[k + 1] = cv2.min(stack[k], stack[k + 1]), cv2.max(stack[k], stack[k + 1])
+    return cv2.addWeighted(stack[(len(stack) - 1) // 2], 0.5, stack[len(stack) // 2], 0.5, 0.0)

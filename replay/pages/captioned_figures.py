@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from ...tracking.camera import Camera
 from ...tracking.footage import Clip
 from ..elements import Motion, Record, ReportDetails, motions_of, residuals
 from ..figures import (
     COLUMNS,
+    KeptFrames,
     angle_residuals,
     bounce_strip,
     corner_heights,
@@ -103,28 +103,25 @@ def clip_figures(record: Record) -> Iterator[CaptionedFigure]:
     clip, camera, solid, motions = record.clip, record.camera, record.die.solid, motions_of(record)
     if clip is None or camera is None or not _has_poses_in(clip, motions[0]):
         return
+    impacts = record.measured.bounces
+    strip = rows_of_strip(clip, camera, solid, motions[0], impacts)
+    in_strip = [frame - clip.first_frame for _, frames in strip for frame in frames if frame is not None]
+    kept = KeptFrames(clip, in_strip)
     yield CaptionedFigure(
         "stroboscope",
         (NARROW, NARROW * clip.height_px / clip.width_px + 0.3),
         f"The whole throw in one picture: the die cut out of frames of the clip; {_edge_colours(motions)}.",
-        lambda ax: stroboscope(ax, clip, camera, solid, motions),
+        lambda ax: stroboscope(ax, kept, camera, solid, motions),
     )
-    yield from _strip(record, clip, camera, motions)
-
-
-def _strip(record: Record, clip: Clip, camera: Camera, motions: Sequence[Motion]) -> Iterator[CaptionedFigure]:
-    impacts, solid = record.measured.bounces, record.die.solid
-    rows = rows_of_strip(clip, camera, solid, motions[0], impacts)
-    if not rows:
-        return
-    shown = rows[-1][0][-1] + 1
-    which = "Every bounce" if shown == len(impacts) else f"The first {shown} of {len(impacts)} bounces"
-    yield CaptionedFigure(
-        "bounces",
-        (WIDE, WIDE / COLUMNS * len(rows) + 0.3),
-        f"{which}, frame by frame, with the time from the impact in milliseconds; {_edge_colours(motions)}.",
-        lambda ax: bounce_strip(ax, clip, camera, solid, motions, impacts),
-    )
+    if strip:
+        shown = strip[-1][0][-1] + 1
+        which = "Every bounce" if shown == len(impacts) else f"The first {shown} of {len(impacts)} bounces"
+        yield CaptionedFigure(
+            "bounces",
+            (WIDE, WIDE / COLUMNS * len(strip) + 0.3),
+            f"{which}, frame by frame, with the time from the impact in milliseconds; {_edge_colours(motions)}.",
+            lambda ax: bounce_strip(ax, kept, camera, solid, motions, impacts),
+        )
 
 
 def height_figure(record: Record) -> CaptionedFigure:
