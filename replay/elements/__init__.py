@@ -22,6 +22,7 @@ from .colours import WHITE as WHITE
 from .colours import Colour as Colour
 from .colours import hex_colour as hex_colour
 from .colours import mixed as mixed
+from .edges_in_view import POINTS_PER_EDGE as POINTS_PER_EDGE
 from .edges_in_view import VisibleEdges as VisibleEdges
 from .edges_in_view import visible_edges as visible_edges
 from .findings_text import UNKNOWN as UNKNOWN

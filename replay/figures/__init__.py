@@ -18,10 +18,14 @@ from .ensembles import face_odds as face_odds
 from .ensembles import growth_curve as growth_curve
 from .ensembles import lowest_again as lowest_again
 from .ensembles import uncertain_shares as uncertain_shares
+from .kept_frames import KeptFrames as KeptFrames
+from .plot_axes import PlotAxes as PlotAxes
 from .throw_plots import angle_residuals as angle_residuals
 from .throw_plots import corner_heights as corner_heights
 from .throw_plots import correlations as correlations
+from .throw_plots import correlations_of as correlations_of
 from .throw_plots import landing_odds as landing_odds
+from .throw_plots import legend_above as legend_above
 from .throw_plots import odds_over_time as odds_over_time
 from .throw_plots import position_residuals as position_residuals
 from .throw_plots import position_sigmas as position_sigmas

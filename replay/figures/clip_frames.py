@@ -1,27 +1,26 @@
 """Figures made of frames of the clip: one frame, a multiple exposure of the throw, and strips of frames around bounces.
 
 The multiple exposure follows Fig. 4 of Kapitaniak et al. (Chaos 22, 047504, 2012). The die of each chosen frame is cut out
-along its measured silhouette and laid over the empty scene, later frames on top. The empty scene is the median of frames
-spread over the clip: a moving die covers any one place on few of them. The visible edges of each motion are drawn on top,
-so that differences between experiment and model are visible where they occur.
+along its measured silhouette and laid over the empty scene, later frames on top. The empty scene is the median of the same
+frames: a place that a die covers on any of them is covered by a cut-out as well, so no die is left in what is seen of it. The
+visible edges of each motion are drawn on top, so that differences between experiment and model are visible where they occur.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from numpy.typing import NDArray
 
 from ...model.die import Solid
 from ...model.errors import InputError
 from ...model.throw import Impact
-from ..elements import COLOURS, Motion, VisibleEdges, Window, display_window, hex_colour, visible_edges
+from ..elements import COLOURS, POINTS_PER_EDGE, Motion, VisibleEdges, display_window, hex_colour, visible_edges
+from .plot_axes import AnyAxes, PlotAxes
 
 if TYPE_CHECKING:
     from ...tracking.camera import Camera
@@ -38,8 +37,8 @@ MAX_CANDIDATES = 400
 """Frames that are tried as exposures: two neighbours of a denser selection would always overlap."""
 MAX_OVERLAP = 0.45
 """Share of a die that other exposures may cover. Bounces are always shown and may be covered more."""
-SCENE_FRAMES = 25
-"""Frames whose median is the empty scene: a die appears in it only if it stands at one place in half of them."""
+SAMPLES = 16
+"""Points of each straight part of an edge at which it may end behind a later die: one for about two pixels."""
 CUT_MARGIN_PX = 1
 """Margin around the silhouette of a cut-out, for the blur of the edges."""
 
@@ -57,33 +56,49 @@ LABEL_OFFSET = 0.06
 """Distance of a label from the corner of its image, as a share of its width."""
 
 
-def stroboscope(ax: Axes, clip: Clip, camera: Camera, solid: Solid, motions: Sequence[Motion]) -> Axes:
+def stroboscope(ax: AnyAxes, clip: Clip, camera: Camera, solid: Solid, motions: Sequence[Motion]) -> AnyAxes:
     """The whole throw in one picture; the die is cut out at the poses of the first motion.
 
     Raises ValueError if the first motion has no pose on any frame of the clip.
     """
     rows = _exposures(clip, camera, solid, motions[0])
     window = display_window(clip)
-    scene = _empty_scene(clip, window)
-    ax.imshow(scene, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+    frames = motions[0].frame[rows].tolist()
+    pictures = [window.apply(clip.frame(frame - clip.first_frame)) for frame in frames]
     drawn = visible_edges(solid, camera, motions[0].position_m[rows], motions[0].quaternion[rows])
-    for layer, (row, edges) in enumerate(zip(rows, drawn, strict=True), 2):
-        frame = int(motions[0].frame[row])
-        _lay_over(ax, window.apply(clip.frame(frame - clip.first_frame)), edges, layer)
-        # Half a layer above its own die: a later die also covers the edges of an earlier one.
-        _draw_edges(ax, camera, solid, motions, frame, layer=layer + 0.5)
+    picture = _median(pictures)
+    cuts = [_cut_out(edges, picture.shape) for edges in drawn]
+    for exposure, cut in zip(pictures, cuts, strict=True):
+        cv2.copyTo(exposure, cut, picture)
+    _show(ax, picture)
+    edges = _edges_by_motion(camera, solid, motions, frames)
+    lines: dict[str, list[Array]] = {name: [] for name in edges}
+    later = np.zeros_like(picture)
+    # From the last to the first: a later die also covers the edges of an earlier one.
+    for k in range(len(frames) - 1, -1, -1):
+        for name in edges:
+            lines[name].append(_uncovered(edges[name][k], later))
+        later |= cuts[k]
+    _draw_edges(ax, lines)
     return _in_pixels(ax, clip)
 
 
-def _in_pixels(ax: Axes, clip: Clip) -> Axes:
+def _show(ax: PlotAxes, picture: Image, extent: tuple[float, float, float, float] | None = None) -> None:
+    ax.imshow(picture, cmap="gray", vmin=0.0, vmax=255.0, interpolation="nearest", extent=extent)
+
+
+def _in_pixels(ax: AnyAxes, clip: Clip) -> AnyAxes:
     """The axes with the limits of a frame, y downwards."""
-    ax.set(xlim=(-0.5, clip.width_px - 0.5), ylim=(clip.height_px - 0.5, -0.5), xlabel="x [px]", ylabel="y [px]")
+    ax.set_xlim(-0.5, clip.width_px - 0.5)
+    ax.set_ylim(clip.height_px - 0.5, -0.5)
+    ax.set_xlabel("x [px]")
+    ax.set_ylabel("y [px]")
     return ax
 
 
 def bounce_strip(
-    ax: Axes, clip: Clip, camera: Camera, solid: Solid, motions: Sequence[Motion], impacts: Sequence[Impact]
-) -> Axes:
+    ax: AnyAxes, clip: Clip, camera: Camera, solid: Solid, motions: Sequence[Motion], impacts: Sequence[Impact]
+) -> AnyAxes:
     """A row of frames for each of the first bounces, with the frame nearest to the impact in the middle.
 
     Impacts within three frames share a row. All images of a row show the same part of the camera's image, so the table does
@@ -96,29 +111,33 @@ def bounce_strip(
     size = (1.0 + 2.0 * CROP_MARGIN) * max(float((high - low).max()) for low, high in corners)
     size = min(size, clip.width_px, clip.height_px)
     window = display_window(clip)
+    lines: dict[str, list[Array]] = {motion.name: [] for motion in motions}
     for line, ((row, frames), (low, high)) in enumerate(zip(shown, corners, strict=True)):
         corner = np.clip(0.5 * (low + high - size), -0.5, np.array([clip.width_px, clip.height_px]) - 0.5 - size)
         for column, frame in enumerate(frames):
             if frame is not None:
                 crop = Crop(corner, size, np.array([column, line], float))
-                piece, extent = crop.cut(window.apply(clip.frame(frame - clip.first_frame)))
-                ax.imshow(piece, cmap="gray", vmin=0, vmax=255, interpolation="nearest", extent=extent)
-                _draw_edges(ax, camera, solid, motions, frame, crop)
+                _show(ax, *crop.cut(window.apply(clip.frame(frame - clip.first_frame))))
+                for name, edges in _edges_by_motion(camera, solid, motions, [frame]).items():
+                    lines[name] += [_gapped(crop.of(each)) for each in edges]
                 after_ms = 1e3 * float(clip.times_s[frame - clip.first_frame] - impacts[row[0]].time_s)
                 _label(ax, f"{after_ms:+.1f}".replace("-", "−"), crop)
+    _draw_edges(ax, lines)
     ax.set_xlim(-0.02, COLUMNS + 0.02)
     ax.set_ylim(len(shown) + 0.02, -0.02)
     ax.set_aspect("equal")
     ax.set_xticks([])
     ax.set_yticks(np.arange(len(shown)) + 0.5, [_numbers(row) for row, _ in shown])
-    ax.tick_params(length=0)
+    ax.tick_params(length=0.0)
     ax.spines[:].set_visible(False)
     ax.set_xlabel("time from the impact, in each picture [ms]")
     ax.set_ylabel("bounce [number]")
     return ax
 
 
-def edges_on_frame(ax: Axes, clip: Clip, camera: Camera, solid: Solid, motions: Sequence[Motion], frame: int) -> Axes:
+def edges_on_frame(
+    ax: AnyAxes, clip: Clip, camera: Camera, solid: Solid, motions: Sequence[Motion], frame: int
+) -> AnyAxes:
     """One frame of the clip with the visible edges of each motion that has a pose there.
 
     Raises IndexError for a frame that the clip does not have.
@@ -128,9 +147,9 @@ def edges_on_frame(ax: Axes, clip: Clip, camera: Camera, solid: Solid, motions: 
         raise IndexError(
             f"frame {frame}: the clip has the frames {clip.first_frame} to {clip.first_frame + len(clip) - 1}"
         )
-    picture = display_window(clip).apply(clip.frame(index))
-    ax.imshow(picture, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
-    _draw_edges(ax, camera, solid, motions, frame)
+    _show(ax, display_window(clip).apply(clip.frame(index)))
+    edges = _edges_by_motion(camera, solid, motions, [frame])
+    _draw_edges(ax, {name: [_gapped(each) for each in of_frame] for name, of_frame in edges.items()})
     return _in_pixels(ax, clip)
 
 
@@ -168,41 +187,62 @@ class Crop:
         return picture[low[1] : high[1], low[0] : high[0]], (left, right, bottom, top)
 
 
-def _label(ax: Axes, text: str, crop: Crop) -> None:
+def _label(ax: PlotAxes, text: str, crop: Crop) -> None:
     x, y = crop.cell + LABEL_OFFSET
     box = {"boxstyle": "round,pad=0.15", "fc": "#000000a0", "lw": 0}
-    ax.text(x, y, text, fontsize=7.0, color="white", va="top", bbox=box)
+    ax.text(float(x), float(y), text, fontsize=7.0, color="#ffffff", va="top", bbox=box)
 
 
-def _draw_edges(
-    ax: Axes,
-    camera: Camera,
-    solid: Solid,
-    motions: Sequence[Motion],
-    frame: int,
-    crop: Crop | None = None,
-    layer: float = 2.0,
-) -> None:
-    """The visible edges on one frame, of every motion that has a pose there."""
+def _edges_by_motion(
+    camera: Camera, solid: Solid, motions: Sequence[Motion], frames: Sequence[int]
+) -> dict[str, list[Array]]:
+    """For each motion, the visible edges on each frame as polylines (edges, POINTS_PER_EDGE, 2) [px]; none without a pose."""
+    found = {}
     for motion in motions:
-        rows = np.flatnonzero(motion.frame == frame)
-        for visible in visible_edges(solid, camera, motion.position_m[rows], motion.quaternion[rows]):
-            edges = np.concatenate([visible.silhouette_px, visible.inner_px])
-            lines = edges if crop is None else crop.of(edges)
-            colour, width = hex_colour(COLOURS[motion.name]), EDGE_WIDTHS[motion.name]
-            ax.add_collection(LineCollection(list(lines), colors=colour, linewidths=width, zorder=layer), autolim=False)
+        known = np.isin(motion.frame, frames)
+        drawn = visible_edges(solid, camera, motion.position_m[known], motion.quaternion[known])
+        edges = [np.concatenate([visible.silhouette_px, visible.inner_px]) for visible in drawn]
+        by_frame = dict(zip(motion.frame[known].tolist(), edges, strict=True))
+        found[motion.name] = [by_frame.get(frame, np.empty((0, POINTS_PER_EDGE, 2))) for frame in frames]
+    return found
 
 
-def _lay_over(ax: Axes, picture: Image, edges: VisibleEdges, layer: float) -> None:
-    """Draw the die of one frame, cut out of its image."""
-    inside = cv2.dilate(_silhouette_mask(edges, picture.shape), np.ones((2 * CUT_MARGIN_PX + 1,) * 2, np.uint8))
-    x, y, width, height = cv2.boundingRect(inside)
-    if not width or not height:
-        return
-    part = np.s_[y : y + height, x : x + width]
-    cut = np.dstack([picture[part]] * 3 + [inside[part]])
-    extent = (x - 0.5, x + width - 0.5, y + height - 0.5, y - 0.5)
-    ax.imshow(cut, interpolation="nearest", extent=extent, zorder=layer)
+def _gapped(edges: Array) -> Array:
+    """Edges (n, points, 2) as one line (n * (points + 1), 2) with NaN after each edge."""
+    return np.pad(edges, ((0, 0), (0, 1), (0, 0)), constant_values=np.nan).reshape(-1, 2)
+
+
+def _uncovered(edges: Array, covered: Image) -> Array:
+    """Edges (n, points, 2) [px] as one line (m, 2) that is interrupted by NaN after each edge, and where `covered` is not 0."""
+    parts = edges.shape[1] - 1
+    place = np.linspace(0.0, parts, SAMPLES * parts + 1)
+    before = np.minimum(place.astype(int), parts - 1)
+    share = (place - before)[:, None]
+    fine = (1.0 - share) * edges[:, before] + share * edges[:, before + 1]
+    column, row = np.moveaxis(np.rint(np.clip(fine, -1.0, max(covered.shape))).astype(int), -1, 0)
+    inside = (column >= 0) & (row >= 0) & (column < covered.shape[1]) & (row < covered.shape[0])
+    hidden = np.zeros(inside.shape, bool)
+    hidden[inside] = covered[row[inside], column[inside]] > 0
+    # A straight part needs its ends only, and the places where it disappears.
+    wanted = hidden | (np.arange(len(place)) % SAMPLES == 0)
+    wanted[:, 1:] |= hidden[:, :-1]
+    wanted[:, :-1] |= hidden[:, 1:]
+    line = _gapped(np.where(hidden[..., None], np.nan, fine))
+    return line[np.pad(wanted, ((0, 0), (0, 1)), constant_values=True).ravel()]
+
+
+def _draw_edges(ax: PlotAxes, lines: Mapping[str, Sequence[Array]]) -> None:
+    """The edges of each motion as one curve of lines (points, 2) that NaN ends."""
+    for name, parts in lines.items():
+        x, y = np.concatenate([np.empty((0, 2)), *parts]).T
+        ax.plot(x, y, "-", color=hex_colour(COLOURS[name]), linewidth=EDGE_WIDTHS[name], zorder=2.0)
+
+
+def _cut_out(edges: VisibleEdges, shape: tuple[int, ...]) -> Image:
+    """(height, width): 255 where the die is cut out of its frame."""
+    return np.asarray(
+        cv2.dilate(_silhouette_mask(edges, shape), np.ones((2 * CUT_MARGIN_PX + 1,) * 2, np.uint8)), np.uint8
+    )
 
 
 def _exposures(clip: Clip, camera: Camera, solid: Solid, motion: Motion) -> NDArray[np.int64]:
@@ -217,15 +257,16 @@ def _exposures(clip: Clip, camera: Camera, solid: Solid, motion: Motion) -> NDAr
     step = max(1, len(in_clip) // MAX_CANDIDATES)
     rows = sorted({*in_clip[::step].tolist(), *wanted})
     drawn = visible_edges(solid, camera, motion.position_m[rows], motion.quaternion[rows])
-    masks = {row: _silhouette_mask(edges, shape) > 0 for row, edges in zip(rows, drawn, strict=True)}
-    covered = np.zeros(shape, bool)
+    covered = np.zeros(shape, np.uint8)
     for row in wanted:
-        covered |= masks[row]
-    for row in rows:
-        area = int(masks[row].sum())
-        if len(wanted) < MAX_EXPOSURES and area and (masks[row] & covered).sum() <= MAX_OVERLAP * area:
-            wanted.add(row)
-            covered |= masks[row]
+        covered |= _silhouette_mask(drawn[rows.index(row)], shape)
+    for row, edges in zip(rows, drawn, strict=True):
+        if len(wanted) < MAX_EXPOSURES and row not in wanted:
+            mask = _silhouette_mask(edges, shape)
+            area = cv2.countNonZero(mask)
+            if area and cv2.countNonZero(mask & covered) <= MAX_OVERLAP * area:
+                wanted.add(row)
+                covered |= mask
     return np.array(sorted(wanted), np.int64)
 
 
@@ -297,8 +338,10 @@ def _silhouette_mask(edges: VisibleEdges, shape: tuple[int, ...]) -> Image:
     return mask
 
 
-def _empty_scene(clip: Clip, window: Window) -> Image:
-    """The median of SCENE_FRAMES frames spread over the clip."""
-    chosen = np.unique(np.linspace(0, len(clip) - 1, SCENE_FRAMES).round().astype(int))
-    frames = np.stack([window.apply(clip.frame(int(k))) for k in chosen])
-    return np.median(frames, axis=0).astype(np.uint8)
+def _median(frames: Sequence[Image]) -> Image:
+    """The median of pictures, by odd-even transposition: whole pictures are compared at a time, ten times as fast as NumPy."""
+    stack = [frame.copy() for frame in frames]
+    for turn in range(len(stack)):
+        for k in range(turn % 2, len(stack) - 1, 2):
+            stack[k], stack[k + 1] = cv2.min(stack[k], stack[k + 1]), cv2.max(stack[k], stack[k + 1])
+    return cv2.addWeighted(stack[(len(stack) - 1) // 2], 0.5, stack[len(stack) // 2], 0.5, 0.0)

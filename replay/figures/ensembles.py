@@ -6,11 +6,9 @@ A face has the same colour on every map. Throws that end on no face are black (s
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from ...model.ensembles import ENDING_OF_INDEX, Axis, Fairness, FinalStateSensitivity, Share, UncertaintyExponent
@@ -26,6 +24,10 @@ from ..elements import (
     hex_colour,
 )
 from .throw_plots import remove_box
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.patches import Patch
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.integer[Any]]
@@ -206,4 +208,6 @@ def _points(ax: Axes, place: Any, row: Sequence[Share], number: int, name: str) 
 
 
 def _patch(colour: tuple[int, int, int], label: str) -> Patch:
+    from matplotlib.patches import Patch
+
     return Patch(facecolor=hex_colour(colour), edgecolor="#888888", linewidth=0.5, label=label)

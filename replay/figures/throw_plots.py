@@ -1,4 +1,4 @@
-"""Plots of one throw. Each function draws on the given axes and returns them.
+"""Plots of one throw. Each function draws on the given axes, matplotlib's or the SVG of a page, and returns them.
 
 Measured poses are blue dots and the model is orange lines, as in the recording. Every axis states its unit.
 """
@@ -9,9 +9,6 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
 from ...model.die import Solid
@@ -26,8 +23,11 @@ from ..elements import (
     Residuals,
     hex_colour,
 )
+from .plot_axes import AnyAxes, PlotAxes
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from ...fitting.predict import Estimate
     from ...fitting.results import Parameter
 
@@ -35,6 +35,8 @@ Array = NDArray[np.float64]
 
 MAX_VECTOR_MARKS = 20_000
 """Marks that an SVG holds as shapes. More are drawn as pixels, because the file would have many megabytes."""
+MAX_NUMBERS = 16
+"""Bounces that are all numbered on their axis; of more, every second, third, … is."""
 DRAWN_INSTANTS = 4000
 """Instants at which a modelled throw is drawn: more than the pixels of a figure, and drawn faster than simulated."""
 BAND_SIGMAS = 2.0
@@ -44,14 +46,14 @@ AXIS_GREY = "#444444"
 
 
 def corner_heights(
-    ax: Axes,
+    ax: AnyAxes,
     solid: Solid,
     times_s: ArrayLike,
     positions_m: ArrayLike,
     quaternions: ArrayLike,
     impacts: Sequence[Impact] = (),
     label: str = "simulated",
-) -> Axes:
+) -> AnyAxes:
     """Height of every corner over time, as in Fig. 5 of Kapitaniak et al. (Chaos 22, 047504, 2012).
 
     Poses at times (n,) [s]: positions (n, 3) [m] and quaternions (n, 4) wxyz; rows of NaN interrupt the curves. The label
@@ -62,37 +64,39 @@ def corner_heights(
     corners = np.einsum("nj,vj->nv", rotations[:, 2], solid.vertices) + np.asarray(positions_m, float)[:, 2, None]
     milliseconds = 1e3 * np.asarray(times_s, float)
     heights = 1e3 * corners
-    if label == "measured":
-        lines = ax.plot(milliseconds, heights, "o", markersize=2.0, color=hex_colour(MEASURED), zorder=2)
-    else:
-        lines = ax.plot(milliseconds, heights, linewidth=0.9, color=hex_colour(SIMULATED), zorder=3)
-    for line in lines:
-        line.set_rasterized(heights.size > MAX_VECTOR_MARKS)
-    lines[0].set_label(label)
+    many = heights.size > MAX_VECTOR_MARKS
+    for corner, height in enumerate(heights.T):
+        name = label if corner == 0 else None
+        if label == "measured":
+            blue = hex_colour(MEASURED)
+            ax.plot(milliseconds, height, "o", markersize=2.0, color=blue, label=name, zorder=2, rasterized=many)
+        else:
+            orange = hex_colour(SIMULATED)
+            ax.plot(milliseconds, height, "-", linewidth=0.9, color=orange, label=name, zorder=3, rasterized=many)
     _mark_impacts(ax, impacts)
     ax.axhline(0.0, color=AXIS_GREY, linewidth=0.8, zorder=1)
     ax.set_ylabel("height of each corner [mm]")
     return _time_axis(ax)
 
 
-def throw_heights(ax: Axes, solid: Solid, throw: Throw) -> Axes:
+def throw_heights(ax: AnyAxes, solid: Solid, throw: Throw) -> AnyAxes:
     """Height of every corner of a modelled throw from its first instant to its last, with its bounces."""
     times = np.linspace(throw.flights[0].start.time_s, throw.flights[-1].end_s, DRAWN_INSTANTS)
     return corner_heights(ax, solid, times, *throw.poses(times), impacts=throw.bounces)
 
 
-def position_residuals(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -> Axes:
+def position_residuals(ax: AnyAxes, rest: Residuals, impacts: Sequence[Impact] = ()) -> AnyAxes:
     """Measured minus simulated position on every frame, by world axis."""
     for axis, colour, values in zip("xyz", AXIS_COLOURS, rest.position_mm.T, strict=True):
         ax.plot(1e3 * rest.time_s, values, ".", markersize=2.5, color=hex_colour(colour), label=axis)
     ax.axhline(0.0, color=AXIS_GREY, linewidth=0.8, zorder=1)
     _mark_impacts(ax, impacts)
     ax.set_ylabel("position residual [mm]")
-    ax.legend(loc="upper left", ncols=3, frameon=False, markerscale=3, handletextpad=0.1)
+    legend_above(ax, 3, markerscale=3.0, handletextpad=0.1)
     return _time_axis(ax)
 
 
-def angle_residuals(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -> Axes:
+def angle_residuals(ax: AnyAxes, rest: Residuals, impacts: Sequence[Impact] = ()) -> AnyAxes:
     """Angle between the measured and the simulated orientation on every frame."""
     ax.plot(1e3 * rest.time_s, rest.rotation_deg, ".", markersize=2.5, color=hex_colour(MEASURED))
     ax.set_ylim(bottom=0.0)
@@ -101,54 +105,62 @@ def angle_residuals(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -
     return _time_axis(ax)
 
 
-def position_sigmas(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -> Axes:
+def position_sigmas(ax: AnyAxes, rest: Residuals, impacts: Sequence[Impact] = ()) -> AnyAxes:
     """Measured minus simulated position by world axis, in standard errors of the measurement; the band is ± BAND_SIGMAS."""
     scaled = rest.position_mm / rest.standard_errors[:, :3]
     return _in_sigmas(ax, rest.time_s, scaled, impacts, "position residual [σ]")
 
 
-def turn_sigmas(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -> Axes:
+def turn_sigmas(ax: AnyAxes, rest: Residuals, impacts: Sequence[Impact] = ()) -> AnyAxes:
     """Rotation from the simulated to the measured orientation about each world axis, in standard errors, with the band."""
     scaled = rest.turn_deg / rest.standard_errors[:, 3:]
     return _in_sigmas(ax, rest.time_s, scaled, impacts, "rotation residual [σ]")
 
 
-def _in_sigmas(ax: Axes, time_s: Array, values: Array, impacts: Sequence[Impact], label: str) -> Axes:
+def _in_sigmas(ax: AnyAxes, time_s: Array, values: Array, impacts: Sequence[Impact], label: str) -> AnyAxes:
     ax.axhspan(-BAND_SIGMAS, BAND_SIGMAS, color=hex_colour(IMPACT), alpha=0.13, linewidth=0, zorder=0)
     for axis, colour, of_axis in zip("xyz", AXIS_COLOURS, values.T, strict=True):
-        (line,) = ax.plot(1e3 * time_s, of_axis, ".", markersize=2.5, color=hex_colour(colour), label=axis)
-        line.set_rasterized(values.size > MAX_VECTOR_MARKS)
+        many = values.size > MAX_VECTOR_MARKS
+        ax.plot(1e3 * time_s, of_axis, ".", markersize=2.5, color=hex_colour(colour), label=axis, rasterized=many)
     ax.axhline(0.0, color=AXIS_GREY, linewidth=0.8, zorder=1)
     _mark_impacts(ax, impacts)
     ax.set_ylabel(label)
-    ax.legend(loc="upper left", ncols=3, frameon=False, markerscale=3, handletextpad=0.1)
+    legend_above(ax, 3, markerscale=3.0, handletextpad=0.1)
     return _time_axis(ax)
 
 
-def restitution(ax: Axes, impacts: Sequence[Impact], fitted: Parameter | None = None) -> Axes:
+def restitution(ax: AnyAxes, impacts: Sequence[Impact], fitted: Parameter | None = None) -> AnyAxes:
     """Apparent restitution of every bounce with its interval; the fitted value as a line with its band."""
     for number, impact in enumerate(impacts, 1):
         if not np.isfinite(impact.chi):
             continue
         if np.isfinite([impact.chi_low, impact.chi_high]).all():
-            ax.plot([number, number], [impact.chi_low, impact.chi_high], color=hex_colour(MEASURED), linewidth=1.6)
-        ax.plot(number, impact.chi, "o", color=hex_colour(MEASURED), markersize=5)
+            ends = [impact.chi_low, impact.chi_high]
+            ax.plot([number, number], ends, "-", color=hex_colour(MEASURED), linewidth=1.6)
+        ax.plot(number, impact.chi, "o", color=hex_colour(MEASURED), markersize=5.0)
     if fitted is not None and fitted.value is not None:
         ax.axhline(fitted.value, color=hex_colour(SIMULATED), linewidth=1.2, zorder=1)
         if fitted.low is not None and fitted.high is not None:
             ax.axhspan(fitted.low, fitted.high, color=hex_colour(SIMULATED), alpha=0.22, linewidth=0, zorder=0)
     ax.set_xlim(0.5, max(len(impacts), 1) + 0.5)
-    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    ax.set_xticks(range(1, len(impacts) + 1, 1 + len(impacts) // MAX_NUMBERS))
     ax.set_xlabel("bounce [number]")
     ax.set_ylabel("restitution χ [1]")
     return remove_box(ax)
 
 
-def correlations(ax: Axes, covariance: Array, names: Sequence[str]) -> Axes:
-    """Correlations of a covariance (n, n) in hundredths: blue positive, orange negative."""
+def correlations_of(covariance: Array) -> Array:
+    """The correlations (n, n) of a covariance (n, n); NaN beside a variance of 0."""
     sigmas = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
     with np.errstate(divide="ignore", invalid="ignore"):
-        r = np.where(np.outer(sigmas, sigmas) > 0.0, covariance / np.outer(sigmas, sigmas), np.nan)
+        return np.where(np.outer(sigmas, sigmas) > 0.0, covariance / np.outer(sigmas, sigmas), np.nan)
+
+
+def correlations(ax: Axes, covariance: Array, names: Sequence[str]) -> Axes:
+    """Correlations of a covariance (n, n) in hundredths, on matplotlib's axes: blue positive, orange negative."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    r = correlations_of(covariance)
     shades = LinearSegmentedColormap.from_list("apart", [hex_colour(SIMULATED), "#ffffff", hex_colour(MEASURED)])
     shown = ax.imshow(r, cmap=shades, vmin=-1.0, vmax=1.0)
     for row, column in np.ndindex(r.shape):
@@ -166,7 +178,7 @@ def correlations(ax: Axes, covariance: Array, names: Sequence[str]) -> Axes:
     return ax
 
 
-def landing_odds(ax: Axes, odds: Mapping[int, float]) -> Axes:
+def landing_odds(ax: AnyAxes, odds: Mapping[int, float]) -> AnyAxes:
     """Share of the simulated landings on each face."""
     faces = sorted(odds)
     ax.bar([str(face) for face in faces], [odds[face] for face in faces], color=hex_colour(SIMULATED), width=0.7)
@@ -178,7 +190,7 @@ def landing_odds(ax: Axes, odds: Mapping[int, float]) -> Axes:
     return remove_box(ax)
 
 
-def odds_over_time(ax: Axes, estimates: Sequence[Estimate], impacts: Sequence[Impact] = ()) -> Axes:
+def odds_over_time(ax: AnyAxes, estimates: Sequence[Estimate], impacts: Sequence[Impact] = ()) -> AnyAxes:
     """Odds of each face by the fit to the frames so far, as steps from each estimate to the next."""
     known = [estimate for estimate in estimates if estimate.face_odds]
     times = [1e3 * estimate.time_s for estimate in known]
@@ -204,18 +216,26 @@ def _matrices(quaternions: ArrayLike) -> Array:
     return matrices
 
 
-def _mark_impacts(ax: Axes, impacts: Sequence[Impact]) -> None:
+def _mark_impacts(ax: PlotAxes, impacts: Sequence[Impact]) -> None:
     for impact in impacts:
         ax.axvline(1e3 * impact.time_s, color=hex_colour(IMPACT), linewidth=0.7, linestyle=(0, (2, 2)), zorder=1)
 
 
-def _time_axis(ax: Axes) -> Axes:
+def _time_axis(ax: AnyAxes) -> AnyAxes:
     ax.set_xlabel("time [ms]")
     ax.margins(x=0.01)
     return remove_box(ax)
 
 
-def remove_box(ax: Axes) -> Axes:
+def legend_above(ax: PlotAxes, columns: int, *, markerscale: float = 1.0, handletextpad: float = 0.8) -> None:
+    """The names of the curves in a row above the axes, where they cover no data."""
+    ax.legend(
+        loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, frameon=False,
+        markerscale=markerscale, handletextpad=handletextpad,
+    )  # fmt: skip
+
+
+def remove_box(ax: AnyAxes) -> AnyAxes:
     """The axes without the lines at the top and at the right."""
     ax.spines[["top", "right"]].set_visible(False)
     return ax

@@ -10,7 +10,6 @@ from .captioned_figures import report_figures as report_figures
 from .captioned_figures import write_figures as write_figures
 from .check import check_page as check_page
 from .page_parts import STYLE as STYLE
-from .page_parts import legended as legended
 from .page_parts import whole_page as whole_page
 from .report import throw_page as throw_page
 from .report import write_report as write_report

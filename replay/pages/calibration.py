@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from html import escape
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from ...tracking.calibration import INTRINSICS, Calibration, PosedBoard, TablePose
 from ..elements import AXIS_COLOURS, IMPACT, MEASURED, SIMULATED, hex_colour
-from .page_parts import WIDE, as_address, as_table, captioned, drawing, plotted, whole_page
+from .matplotlib_figures import as_address, captioned_plot, drawing
+from .page_parts import WIDE, as_table, captioned, image, whole_page
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 BLUE, ORANGE, GREY = hex_colour(MEASURED), hex_colour(SIMULATED), hex_colour(IMPACT)
 ARROW_PERCENTILE = 95
@@ -43,10 +47,10 @@ def calibration_page(
         "<h2>Camera</h2>",
         _camera(calibration),
         "<h2>Residuals</h2>",
-        captioned(*_arrows(calibration)),
-        captioned(plotted((5.2, 4.4), lambda ax: _scatter(ax, calibration)), SCATTER_CAPTION, narrow=True),
-        captioned(plotted((WIDE, 2.6), lambda ax: _image_residuals(ax, calibration)), IMAGES_CAPTION),
-        captioned(plotted((WIDE, 2.4), lambda ax: _distortion(ax, calibration)), DISTORTION_CAPTION),
+        _arrows(calibration),
+        captioned_plot((5.2, 4.4), lambda ax: _scatter(ax, calibration), SCATTER_CAPTION, narrow=True),
+        captioned_plot((WIDE, 2.6), lambda ax: _image_residuals(ax, calibration), IMAGES_CAPTION),
+        captioned_plot((WIDE, 2.4), lambda ax: _distortion(ax, calibration), DISTORTION_CAPTION),
         _table(table, table_picture, square_m),
         _notes(calibration),
     ]
@@ -86,8 +90,8 @@ def _camera(calibration: Calibration) -> str:
     return as_table(("", "value", "standard error"), rows)
 
 
-def _arrows(calibration: Calibration) -> tuple[str, str]:
-    """Every residual as an arrow at its corner, magnified by one factor; and the caption."""
+def _arrows(calibration: Calibration) -> str:
+    """Every residual as an arrow at its corner, magnified by one factor, with the caption."""
     seen = np.concatenate([board.view.pixels for board in calibration.boards])
     off = np.concatenate([board.residuals_px for board in calibration.boards])
     usual = max(float(np.percentile(np.linalg.norm(off, axis=1), ARROW_PERCENTILE)), 1e-6)
@@ -107,7 +111,7 @@ def _arrows(calibration: Calibration) -> tuple[str, str]:
         f"Found minus projected position, magnified {times:.0f} times. Arrows with a common direction in a region indicate a "
         "lens that the model does not describe, or a board that is not flat."
     )
-    return address, caption
+    return captioned(image(address, caption), caption)
 
 
 def _scatter(ax: Axes, calibration: Calibration) -> Axes:
@@ -166,7 +170,7 @@ def _table(table: TablePose | None, picture: NDArray[np.uint8] | None, square_m:
         )
     )
     rows.append(("rotation, camera axes [°]", "", ", ".join(f"{np.degrees(s):.2g}" for s in sigmas[:3])))
-    shown = captioned(_on_table(table, picture, square_m), caption)
+    shown = captioned(image(_on_table(table, picture, square_m), caption), caption)
     return "\n".join(["<h2>Table</h2>", shown, as_table(("", "value", "standard errors"), rows)])
 
 

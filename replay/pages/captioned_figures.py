@@ -8,20 +8,22 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 
-from ...tracking.camera import Camera
 from ...tracking.footage import Clip
 from ..elements import Motion, Record, ReportDetails, motions_of, residuals
 from ..figures import (
     COLUMNS,
+    KeptFrames,
     angle_residuals,
     bounce_strip,
     corner_heights,
     correlations,
+    correlations_of,
     landing_odds,
+    legend_above,
     odds_over_time,
     position_residuals,
     position_sigmas,
@@ -30,7 +32,8 @@ from ..figures import (
     stroboscope,
     turn_sigmas,
 )
-from .page_parts import SAVING_OPTIONS, WIDE, as_address, captioned, drawing, legended
+from .matplotlib_figures import SAVING_OPTIONS, drawing
+from .page_parts import WIDE, captioned, matrix_table, plotted
 
 NARROW = 5.2
 """Width of a small figure [inches]."""
@@ -52,9 +55,10 @@ class CaptionedFigure:
     """Name of its file, without suffix."""
     inches: tuple[float, float]
     caption: str
-    draw: Callable[[Axes], Axes]
-    photograph: bool = False
-    """Whether it consists of pixels; a page then contains it as WebP, not as SVG."""
+    draw: Callable[[Any], Any]
+    """Draws it on axes, and returns these."""
+    table: str = ""
+    """HTML that a page shows in its place, where numbers say more; it is then drawn on matplotlib's axes only."""
 
     @property
     def narrow(self) -> bool:
@@ -63,16 +67,14 @@ class CaptionedFigure:
 
     def as_html(self) -> str:
         """The figure with its caption, contained in the page."""
-        with drawing(self.inches) as figure:
-            legended(self.draw(figure.subplots()))
-            address = as_address(figure, "webp" if self.photograph else "svg")
-        return captioned(address, self.caption, narrow=self.narrow)
+        content = self.table or plotted(self.inches, self.draw, self.caption)
+        return captioned(content, self.caption, narrow=self.narrow and not self.table)
 
     def write(self, folder: Path) -> tuple[Path, Path]:
         """Write `NAME.png` and `NAME.svg` into a folder and return their paths. Raises OSError if that fails."""
         png, svg = folder / f"{self.name}.png", folder / f"{self.name}.svg"
         with drawing(self.inches) as figure:
-            legended(self.draw(figure.subplots()))
+            self.draw(figure.subplots())
             figure.savefig(png, dpi=EXPORT_DPI, **SAVING_OPTIONS["png"])
             figure.savefig(svg, dpi=EXPORT_DPI, **SAVING_OPTIONS["svg"])
         return png, svg
@@ -101,37 +103,32 @@ def clip_figures(record: Record) -> Iterator[CaptionedFigure]:
     clip, camera, solid, motions = record.clip, record.camera, record.die.solid, motions_of(record)
     if clip is None or camera is None or not _has_poses_in(clip, motions[0]):
         return
+    impacts = record.measured.bounces
+    strip = rows_of_strip(clip, camera, solid, motions[0], impacts)
+    in_strip = [frame - clip.first_frame for _, frames in strip for frame in frames if frame is not None]
+    kept = KeptFrames(clip, in_strip)
     yield CaptionedFigure(
         "stroboscope",
         (NARROW, NARROW * clip.height_px / clip.width_px + 0.3),
         f"The whole throw in one picture: the die cut out of frames of the clip; {_edge_colours(motions)}.",
-        lambda ax: stroboscope(ax, clip, camera, solid, motions),
-        photograph=True,
+        lambda ax: stroboscope(ax, kept, camera, solid, motions),
     )
-    yield from _strip(record, clip, camera, motions)
-
-
-def _strip(record: Record, clip: Clip, camera: Camera, motions: Sequence[Motion]) -> Iterator[CaptionedFigure]:
-    impacts, solid = record.measured.bounces, record.die.solid
-    rows = rows_of_strip(clip, camera, solid, motions[0], impacts)
-    if not rows:
-        return
-    shown = rows[-1][0][-1] + 1
-    which = "Every bounce" if shown == len(impacts) else f"The first {shown} of {len(impacts)} bounces"
-    yield CaptionedFigure(
-        "bounces",
-        (WIDE, WIDE / COLUMNS * len(rows) + 0.3),
-        f"{which}, frame by frame, with the time from the impact in milliseconds; {_edge_colours(motions)}.",
-        lambda ax: bounce_strip(ax, clip, camera, solid, motions, impacts),
-        photograph=True,
-    )
+    if strip:
+        shown = strip[-1][0][-1] + 1
+        which = "Every bounce" if shown == len(impacts) else f"The first {shown} of {len(impacts)} bounces"
+        yield CaptionedFigure(
+            "bounces",
+            (WIDE, WIDE / COLUMNS * len(strip) + 0.3),
+            f"{which}, frame by frame, with the time from the impact in milliseconds; {_edge_colours(motions)}.",
+            lambda ax: bounce_strip(ax, kept, camera, solid, motions, impacts),
+        )
 
 
 def height_figure(record: Record) -> CaptionedFigure:
     """Height of every corner, measured and simulated, as in the paper's Fig. 5."""
     track, simulated, solid = record.track, record.simulated, record.die.solid
 
-    def draw(ax: Axes) -> Axes:
+    def draw(ax: Any) -> Any:
         measured = track.time_s, track.position_m, track.quaternion
         corner_heights(ax, solid, *measured, record.measured.bounces, label="measured")
         if simulated is not None:
@@ -141,6 +138,7 @@ def height_figure(record: Record) -> CaptionedFigure:
             rows = slice(tracked[0], tracked[-1] + 1) if both else slice(None)
             model = simulated.time_s[rows], simulated.position_m[rows], simulated.quaternion[rows]
             corner_heights(ax, solid, *model, label="simulated")
+        legend_above(ax, 2, markerscale=2.0)
         return ax
 
     caption = "Height of every corner over time: dots measured"
@@ -212,6 +210,7 @@ def fit_figures(record: Record) -> Iterator[CaptionedFigure]:
             "Correlations of the fit, in hundredths: initial position, rotation vector, velocity and angular velocity in "
             "world axes, and the free parameters.",
             lambda ax: correlations(ax, covariance, names),
+            matrix_table(correlations_of(covariance), names),
         )
     odds = fit.face_odds
     if odds:

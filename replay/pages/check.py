@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from html import escape
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from ...model.die import Die
 from ...tracking.camera import Camera
@@ -14,7 +13,8 @@ from ...tracking.check import Finding, TrackedPart, Verdict
 from ...tracking.footage import Clip
 from ..elements import IMPACT, MEASURED, SIMULATED, hex_colour, motion_of
 from ..figures import corner_heights, edges_on_frame
-from .page_parts import WIDE, as_address, captioned, drawing, plotted, whole_page
+from ..svg import SvgAxes
+from .page_parts import WIDE, captioned, plotted, whole_page
 
 OWN_STYLE = "td:nth-child(-n+2) { white-space: nowrap; }"
 SHOWN_FRAMES = 3
@@ -75,22 +75,20 @@ def _summary(findings: tuple[Finding, ...]) -> str:
 def _frames(part: TrackedPart, clip: Clip, camera: Camera, die: Die) -> str:
     motion = motion_of("measured", part.track, part.throw)
     chosen = motion.frame[np.unique(np.linspace(0, len(motion.frame) - 1, SHOWN_FRAMES).astype(int))]
-    with drawing((WIDE, WIDE * clip.height_px / clip.width_px / SHOWN_FRAMES + 0.25)) as figure:
-        for ax, frame in zip(figure.subplots(1, SHOWN_FRAMES, squeeze=False)[0], chosen, strict=False):
-            edges_on_frame(ax, clip, camera, die.solid, [motion], int(frame))
-            ax.set_title(f"frame {frame}", fontsize=8.0, color="#5b6470")
-        for ax in figure.axes:
-            ax.set_axis_off()
-        address = as_address(figure, "png")
-    return captioned(address, "Frames of the clip with the measured edges of the die.")
+    pictures = []
+    for frame in chosen.tolist():
+        ax = edges_on_frame(SvgAxes((WIDE / SHOWN_FRAMES, WIDE)), clip, camera, die.solid, [motion], frame)
+        ax.set_xlabel(f"frame {frame}")
+        ax.set_ylabel("")
+        ax.set_xticks([])
+        ax.set_yticks([])
+        pictures.append(ax.svg(f"frame {frame}"))
+    return captioned("".join(pictures), "Frames of the clip with the measured edges of the die.")
 
 
 def _heights(part: TrackedPart, die: Die) -> str:
     track, impacts = part.track, part.throw.impacts if part.throw is not None else ()
-
-    def draw(ax: Axes) -> Axes:
-        poses = track.time_s, track.position_m, track.quaternion
-        return corner_heights(ax, die.solid, *poses, impacts, label="measured")
-
+    poses = track.time_s, track.position_m, track.quaternion
     caption = "Height of every corner over time; the table is at 0. Dashed lines: bounces."
-    return captioned(plotted((WIDE, 3.2), draw), caption)
+    plot = plotted((WIDE, 3.2), lambda ax: corner_heights(ax, die.solid, *poses, impacts, label="measured"), caption)
+    return captioned(plot, caption)

@@ -1,23 +1,18 @@
-"""The parts of all pages: the style sheet, figures as data URLs, captions and tables. A page needs no network."""
+"""The parts of all pages: the style sheet, plots, captions and tables. A page needs no network."""
 
 from __future__ import annotations
 
-import base64
-import io
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from html import escape
-from typing import Any
 
-from matplotlib import rc_context
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+import numpy as np
+from numpy.typing import NDArray
 
-from ..elements import MEASURED, UNKNOWN, hex_colour
+from ..elements import MEASURED, SIMULATED, UNKNOWN, WHITE, hex_colour, mixed
+from ..svg import SvgAxes
 
 WIDE = 8.4
 """Width of a figure across the page's text [inches]."""
-PAGE_DPI = 160
 
 STYLE = """
 :root { --ink: #1d2126; --soft: #5b6470; --rule: #d9dde2; --paper: #fff; --wash: #f5f6f8; }
@@ -33,7 +28,8 @@ p { margin: .5rem 0; max-width: 42rem; }
 .verdict { margin: 1.2rem 0; padding: .8rem 1.1rem; background: var(--wash); border-left: 4px solid MEASURED; }
 .headline { font-family: system-ui, Helvetica, Arial, "DejaVu Sans", sans-serif; font-size: 1.25rem; font-weight: 600; }
 figure { margin: 1.2rem 0; break-inside: avoid; }
-figure img { display: block; width: 100%; height: auto; }
+.wide > img, .wide > svg { display: block; width: 100%; height: auto; }
+svg { font-family: system-ui, "Segoe UI", Helvetica, Arial, "DejaVu Sans", sans-serif; }
 figure.narrow { max-width: 30rem; }
 figcaption { color: var(--soft); font-size: .85rem; line-height: 1.4; margin-top: .4rem; }
 .wide { overflow-x: auto; }
@@ -42,25 +38,22 @@ th, td { text-align: left; padding: .35rem .7rem .35rem 0; border-bottom: 1px so
 th { color: var(--soft); font-weight: 600; font-size: .8rem; }
 ul { padding-left: 1.2rem; max-width: 42rem; }
 li { margin: .3rem 0; }
+.matrix { width: auto; font-size: .75rem; } .matrix th { font-size: .75rem; }
+.matrix td, .matrix thead th { min-width: 2.3rem; padding: .3rem .2rem; text-align: center; border: 0; }
+.matrix tbody th { padding: .3rem .6rem .3rem 0; border: 0; }
 .unknown { color: var(--soft); font-style: italic; }
 .dot { display: inline-block; width: .7em; height: .7em; border-radius: 50%; margin: 0 .35em 0 0; }
 .dot ~ .dot { margin-left: 1.1em; }
 table.facts td { overflow-wrap: anywhere; } table.facts td:first-child { color: var(--soft); width: 9rem; }
 .hash { min-width: 15rem; font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: .78rem; overflow-wrap: anywhere; }
 @media (max-width: 40rem) { body { padding-top: 1.2rem; } h1 { font-size: 1.4rem; }
-  figure:not(.narrow) .wide img { width: 36rem; max-width: none; } .wide > table:not(.facts) { min-width: 34rem; } }
+  figure:not(.narrow) .wide > :is(img, svg) { width: 40rem; max-width: none; }
+  .wide > table:not(.facts, .matrix) { min-width: 34rem; } }
 @media print { @page { margin: 16mm 15mm; } body { max-width: none; padding: 0; font-size: 10pt; }
   * { print-color-adjust: exact; -webkit-print-color-adjust: exact; } .screen { display: none; }
   h2 { break-after: avoid; margin-top: 1.6rem; } tr, li { break-inside: avoid; } .wide { overflow: visible; }
   figure { margin: .8rem 0; } figure.narrow { max-width: 11cm; } table { font-size: .82rem; } }
 """.replace("MEASURED", hex_colour(MEASURED))
-
-SAVING_OPTIONS: dict[str, dict[str, Any]] = {
-    "svg": {"metadata": {"Date": None, "Creator": None}},
-    "png": {"metadata": {"Software": None}},
-    "webp": {"pil_kwargs": {"quality": 88}},
-}
-"""Options for each format: no dates and no program names, so that the same record gives the same page."""
 
 STATIC_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 """Content security policy of a page without scripts: the browser then refuses every network access."""
@@ -83,47 +76,43 @@ def whole_page(title: str, parts: Iterable[str], style: str = "", policy: str = 
     )
 
 
-def plotted(inches: tuple[float, float], draw: Callable[[Axes], Axes]) -> str:
-    """A figure with one pair of axes as a data URL."""
-    with drawing(inches) as figure:
-        legended(draw(figure.subplots()))
-        return as_address(figure, "svg")
+def plotted(inches: tuple[float, float], draw: Callable[[SvgAxes], object], alt: str) -> str:
+    """A plot as an `<svg>` element; `alt` describes it to those who do not see it."""
+    ax = SvgAxes(inches)
+    draw(ax)
+    return ax.svg(alt)
 
 
-def legended(ax: Axes) -> Axes:
-    """The axes, with a legend if something on them has a label and there is no legend yet."""
-    if ax.get_legend_handles_labels()[0] and ax.get_legend() is None:
-        ax.legend(loc="upper right", frameon=False)
-    return ax
-
-
-@contextmanager
-def drawing(inches: tuple[float, float]) -> Iterator[Figure]:
-    """An empty figure in the style of the pages; draw and save it within the block."""
-    # Without a fixed salt the identifiers in an SVG are random, and two runs would give different pages.
-    with rc_context(
-        {"font.size": 9.0, "font.family": "DejaVu Sans", "axes.linewidth": 0.7, "svg.hashsalt": "diethrow"}
-    ):
-        yield Figure(figsize=inches, layout="constrained")
-
-
-def as_address(figure: Figure, kind: str) -> str:
-    """The figure as a data URL of an `svg` (with text as outlines, so that it looks the same everywhere), `png` or `webp`.
-
-    WebP needs a fifth of PNG's size for photographs.
-    """
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format=kind, dpi=PAGE_DPI, **SAVING_OPTIONS[kind])
-    media = "svg+xml" if kind == "svg" else kind
-    return f"data:image/{media};base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
-
-
-def captioned(address: str, caption: str, *, narrow: bool = False) -> str:
-    """An image (a data URL) with its caption."""
+def captioned(content: str, caption: str, *, narrow: bool = False) -> str:
+    """A plot, an image or a table, as HTML, with its caption."""
     kind = ' class="narrow"' if narrow else ""
-    text = escape(caption)
-    picture = f'<div class="wide"><img src="{address}" alt="{text}"></div>'
-    return f"<figure{kind}>{picture}<figcaption>{text}</figcaption></figure>"
+    return f'<figure{kind}><div class="wide">{content}</div><figcaption>{escape(caption)}</figcaption></figure>'
+
+
+def image(address: str, alt: str) -> str:
+    """An image (a data URL) as HTML."""
+    return f'<img src="{address}" alt="{escape(alt)}">'
+
+
+def matrix_table(values: NDArray[np.float64], names: Sequence[str]) -> str:
+    """Numbers (n, n) between -1 and 1 in hundredths, on the colours of measured (1) and simulated (-1); none on the diagonal."""
+    head = "<th></th>" + "".join(f'<th scope="col">{escape(name)}</th>' for name in names)
+    rows = [
+        f'<tr><th scope="row">{escape(name)}</th>'
+        + "".join("<td></td>" if k == row else _shaded(float(value)) for k, value in enumerate(values[row]))
+        + "</tr>"
+        for row, name in enumerate(names)
+    ]
+    body = "\n".join(rows)
+    return f'<table class="matrix">\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody></table>'
+
+
+def _shaded(value: float) -> str:
+    if not np.isfinite(value):
+        return "<td>–</td>"
+    colour = hex_colour(mixed(WHITE, MEASURED if value > 0.0 else SIMULATED, min(abs(value), 1.0)))
+    # Through `round`, so that no cell says −0.
+    return f'<td style="background:{colour}">{str(round(100.0 * value)).replace("-", "−")}</td>'
 
 
 def key_value_table(rows: Iterable[tuple[str, str]]) -> str:

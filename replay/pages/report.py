@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 
 MAX_LISTED_BOUNCES = 50
 """Bounces listed on the page of a simulated throw; a throw near χ = 1 has thousands."""
+HEIGHTS_CAPTION = "Height of every corner over time. Dashed lines: bounces."
 UNKNOWN_ERRORS = np.full(3, np.nan)
 
 
@@ -87,8 +88,7 @@ def throw_page(title: str, die: Die, throw: Throw, sentences: Sequence[str], rep
         f'<div class="verdict"><p>{escape(" ".join(sentences))}</p></div>',
         VIEWER_PLACE,
         captioned(
-            plotted((WIDE, 4.0), lambda ax: throw_heights(ax, die.solid, throw)),
-            "Height of every corner over time. Dashed lines: bounces.",
+            plotted((WIDE, 4.0), lambda ax: throw_heights(ax, die.solid, throw), HEIGHTS_CAPTION), HEIGHTS_CAPTION
         ),
         "<h2>Bounces</h2>",
         _list(bounces or ["None."]),

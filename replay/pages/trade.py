@@ -7,15 +7,17 @@ from dataclasses import dataclass
 from functools import partial
 from html import escape
 from pathlib import Path
-
-from matplotlib.axes import Axes
-from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+from typing import TYPE_CHECKING
 
 from ...tracking.footage import Decimation
 from ..elements import IMPACT, MEASURED, SIMULATED, hex_colour
 from ..figures import remove_box
 from .captioned_figures import CaptionedFigure
-from .page_parts import WIDE, as_table, captioned, plotted, whole_page
+from .matplotlib_figures import captioned_plot
+from .page_parts import WIDE, as_table, whole_page
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 NARROW_SPEED_RANGE = 8.0
 """Ratio of the fastest to the slowest setting up to which the speed axis also has numbers between 1, 2 and 5."""
@@ -156,6 +158,8 @@ def speed_against_error(
     ax: Axes, settings: Sequence[Setting], error_of: Callable[[Setting], float | None], x: str, y: str
 ) -> Axes:
     """One point per setting on logarithmic axes, the Pareto front as a line; an error of 0 stands at the lower edge."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
     known = [(s, e) for s in settings if (e := error_of(s)) is not None and s.rate > 0.0]
     floor = 0.5 * min((e for _, e in known if e > 0.0), default=1.0)
     points = [(s, max(e, floor)) for s, e in known]
@@ -208,7 +212,7 @@ def _figures(trade: Trade) -> list[CaptionedFigure]:
 
 
 def _figure_html(figure: CaptionedFigure) -> str:
-    return captioned(plotted(figure.inches, figure.draw), figure.caption)
+    return captioned_plot(figure.inches, figure.draw, figure.caption)
 
 
 def _table(kind: str, settings: Sequence[Setting]) -> str:

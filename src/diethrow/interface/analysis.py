@@ -212,7 +212,7 @@ class Plots:
         return self._drawn("odds", ax)
 
     def _drawn(self, name: str, ax: Axes | None, otherwise: str = "") -> Axes:
-        from ..replay.pages import legended, report_figures
+        from ..replay.pages import report_figures
 
         figures = {figure.name: figure for figure in report_figures(self.analysis.record, self.analysis.details)}
         figure = figures.get(name) or figures.get(otherwise)
@@ -222,7 +222,7 @@ class Plots:
             from matplotlib import pyplot as plt
 
             ax = plt.subplots(figsize=figure.inches, layout="constrained")[1]
-        return legended(figure.draw(ax))
+        return figure.draw(ax)
 
 
 def analyze(
