@@ -212,6 +212,9 @@ def fit_chain(
     return best.unknowns.finished(best.trajectory, best.weights)
 
 
+WHITE = ErrorModel.white()
+
+
 # --- the descent -------------------------------------------------------------------------------------------------------
 
 
@@ -244,8 +247,8 @@ def _descend(unknowns: _Unknowns, *, estimate_scale: bool, by_flight: bool, step
     trajectory, damping, gains = unknowns.trajectory(), FIRST_DAMPING, [0.0]
     for step in range(steps):
         if estimate_scale:
-            scale = _scale(trajectory.squares(ErrorModel.white()), unknowns.size)
-            unknowns = replace(unknowns, errors=ErrorModel.white(scale))
+            scale = _scale(trajectory.squares(WHITE), unknowns.size)
+            unknowns = unknowns.with_errors(ErrorModel.white(scale))
         squares = trajectory.squares(unknowns.errors)
         cuts = trajectory.cuts if by_flight else np.array([0, len(squares)])
         weights = _biweights(squares, _cutoff_factors(squares, cuts) if step < LOOSE_STEPS else np.ones(len(squares)))
@@ -380,7 +383,7 @@ class _Trajectory:
 
     def squares(self, errors: ErrorModel) -> Array:
         """(n,) mean of each frame's six squared whitened residuals, each over its expected one."""
-        return np.einsum("ni,ni,i->n", self.residuals, self.residuals, 1.0 / errors.variance) / 6.0
+        return np.asarray(self.residuals**2 @ (1.0 / errors.variance) / 6.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -402,13 +405,19 @@ class _Unknowns:
     free: Array
     """(N, 14) packed states behind open links."""
     vertex_impacts: VertexImpacts
-    shared: Array
-    shared_sigma: Array
-    table_m: float
-    table_sigma_m: float
+    constants: Array
+    """(c,) parameters that all flights share: the shared errors, and behind them the table's height [m] if there is an impact."""
+    constant_sigma: Array
+    """(c,) their prior standard deviations."""
     lever_sigma: Array
     """(N,) tolerance [rad/s] of each impact's spin; fixed by the guess, so that the cost means the same on every step."""
     errors: ErrorModel
+    share: Array
+    """(6,) weights of the whitened numbers.
+
+    Frames are weighted as if independent, with the long-run variance of their errors. For a smooth motion that loses next to
+    nothing against generalised least squares (Grenander & Rosenblatt, Statistical Analysis of Stationary Time Series, 1957,
+    ch. 7), and it depends less on the error model."""
     information: FrameInformation
     """`single_flights.frame_information` with the error model of the guess."""
     information_share: float
@@ -432,26 +441,38 @@ class _Unknowns:
         spacing_s = float(np.median(np.diff(observations.time_s))) if len(observations) > 1 else 1.0
         is_open = np.array([link.is_open for link in links], bool)
         share = 1.0 / errors.long_run_variance(spacing_s)
+        impacts = _vertex_impacts(links)
+        # The table's height is a parameter if any link is a vertex impact.
+        constant_sigma = np.append(shared_sigma, table_sigma_m) if len(impacts.link) else shared_sigma
         return _Unknowns(
             observations, spacing_s, numbers[0], links, times_s, jumps, is_open, numbers[1:],
-            _vertex_impacts(links), np.zeros(len(shared_sigma)), shared_sigma, 0.0, table_sigma_m, _lever_sigma(jumps),
-            errors, frame_information(observations, share), float(share[0]),
+            impacts, np.zeros(len(constant_sigma)), constant_sigma, _lever_sigma(jumps),
+            errors, share, frame_information(observations, share), float(share[0]),
         )  # fmt: skip
+
+    def with_errors(self, errors: ErrorModel) -> _Unknowns:
+        """The same with another error model."""
+        return replace(self, errors=errors, share=1.0 / errors.long_run_variance(self.spacing_s))
 
     @property
     def has_impacts(self) -> bool:
-        """Whether any link is a vertex impact; the table's height is then a parameter."""
+        """Whether any link is a vertex impact."""
         return len(self.vertex_impacts.link) > 0
 
     @property
-    def constants(self) -> int:
-        """Number of parameters that all flights share."""
-        return len(self.shared) + self.has_impacts
+    def shared(self) -> Array:
+        """(m,) the shared errors."""
+        return self.constants[: len(self.constants) - self.has_impacts]
+
+    @property
+    def table_m(self) -> float:
+        """Height of the table; 0 without an impact on it."""
+        return float(self.constants[-1]) if self.has_impacts else 0.0
 
     @property
     def size(self) -> int:
         """Number of parameters."""
-        return 12 + sum(link.size for link in self.links) + self.constants
+        return 12 + sum(link.size for link in self.links) + len(self.constants)
 
     def trajectory(self) -> _Trajectory:
         """The motion at the present values."""
@@ -464,53 +485,35 @@ class _Unknowns:
         impacts = _impact_equations(ends, self.jumps, self.vertex_impacts, self.table_m, self.lever_sigma)
         return _Trajectory(cuts, states, ends, transitions, residuals, impacts)
 
-    @property
-    def _priors(self) -> tuple[Array, Array]:
-        """Of the shared parameters: prior standard deviations (c,) and present values (c,)."""
-        sigma, value = self.shared_sigma, self.shared
-        if not self.has_impacts:
-            return sigma, value
-        return np.append(sigma, self.table_sigma_m), np.append(value, self.table_m)
-
-    def _frame_share(self) -> Array:
-        """(6,) weights of the whitened numbers.
-
-        Frames are weighted as if independent, with the long-run variance of their errors. For a smooth motion that loses next to
-        nothing against generalised least squares (Grenander & Rosenblatt, Statistical Analysis of Stationary Time Series, 1957,
-        ch. 7), and it depends less on the error model."""
-        return 1.0 / self.errors.long_run_variance(self.spacing_s)
-
     def _cost_of_priors_and_impacts(self, trajectory: _Trajectory) -> float:
         """Squared sigmas of priors and impacts."""
-        sigma, value = self._priors
-        return float(((value / sigma) ** 2).sum() + (trajectory.impacts.violation**2).sum())
+        return float(((self.constants / self.constant_sigma) ** 2).sum() + (trajectory.impacts.violation**2).sum())
 
     def cost(self, trajectory: _Trajectory, weights: Array) -> float:
         """Sum of weighted squared sigmas of frames, priors and impacts."""
-        frames = np.einsum("n,ni,ni,i->", weights, trajectory.residuals, trajectory.residuals, self._frame_share())
-        return float(frames) + self._cost_of_priors_and_impacts(trajectory)
+        frames = float(weights @ (trajectory.residuals**2 @ self.share))
+        return frames + self._cost_of_priors_and_impacts(trajectory)
 
     def robust_cost(self, trajectory: _Trajectory) -> float:
         """The same with Tukey's loss for frames (`FlightChain.cost`). What lies beyond the cutoff counts in full: errors that
         stay for many frames, for which the others count less, explain no such frame."""
         ratio = np.minimum(np.sqrt(trajectory.squares(self.errors)) / CUTOFF_SIGMAS, 1.0)
-        share = np.where(ratio < 1.0, float(np.mean(self.errors.variance * self._frame_share())), 1.0)
+        share = np.where(ratio < 1.0, float(np.mean(self.errors.variance * self.share)), 1.0)
         frames = float((share * 2.0 * CUTOFF_SIGMAS**2 * (1.0 - (1.0 - ratio**2) ** 3)).sum())
         return self._cost_of_priors_and_impacts(trajectory) + frames
 
     def equations(self, trajectory: _Trajectory, weights: Array) -> tuple[Array, Array, Stages]:
         """Normal equations of the flights, the priors included in those of the first, and the links between."""
-        size = 12 + self.constants
+        size = 12 + len(self.constants)
         normal, gradient = self._normal_equations(trajectory, weights, size)
-        sigma, value = self._priors
-        constants = np.arange(12, size)
-        normal[0, constants, constants] += 1.0 / sigma**2
-        gradient[0, 12:] += value / sigma**2
+        information, constants = self.constant_sigma**-2, np.arange(12, size)
+        normal[0, constants, constants] += information
+        gradient[0, 12:] += self.constants * information
         return normal, gradient, self._stages(trajectory, size)
 
     def _normal_equations(self, trajectory: _Trajectory, weights: Array, size: int) -> tuple[Array, Array]:
         """Of the frames alone. An error model that is estimated on the way is white: all shares change by one factor."""
-        change = float(self._frame_share()[0]) / self.information_share
+        change = float(self.share[0]) / self.information_share
         return normal_equations(
             self.observations, trajectory.cuts, trajectory.states, trajectory.residuals, change * weights,
             self.information, size,
@@ -549,11 +552,9 @@ class _Unknowns:
         kernels.apply_step(start, times_s, jumps, self.is_open, free, first[:12], changes, 0.5 * self.spacing_s)
         for k in range(1, len(times_s)):
             times_s[k] = max(times_s[k], times_s[k - 1] + 1e-6 * self.spacing_s)
-        m = len(self.shared)
         return replace(
-            self, first=start, times_s=times_s, jumps=jumps, free=free, shared=self.shared + first[12 : 12 + m],
-            table_m=self.table_m + (float(first[-1]) if self.has_impacts else 0.0),
-        )  # fmt: skip
+            self, first=start, times_s=times_s, jumps=jumps, free=free, constants=self.constants + first[12:]
+        )
 
     def finished(self, trajectory: _Trajectory, weights: Array) -> FlightChain:
         """The fitted chain, with covariances."""
@@ -601,5 +602,5 @@ class _Unknowns:
         stated, _ = self._normal_equations(trajectory, weights, size)
         if self.errors.variance_ratio.any():
             parts = (self.observations, trajectory.cuts, trajectory.states, weights)
-            return normal - stated + gradient_covariances(*parts, self._frame_share(), self.errors, size)
+            return normal - stated + gradient_covariances(*parts, self.share, self.errors, size)
         return normal - stated + self._normal_equations(trajectory, weights**2, size)[0]

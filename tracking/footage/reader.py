@@ -164,7 +164,7 @@ class Footage(ABC):
 
     @property
     def kept_frames(self) -> tuple[Frame, NDArray[np.bool_]] | None:
-        """The decoded frames (n, height, width), not to be written to, and which of them are there (n,); None if none are kept."""
+        """The decoded frames (n, height, width), not to be written to, and which are there (n,); None if none are kept."""
         return None if self._kept is None else (self._kept, self._is_kept)
 
     def _kept_or_read(self, index: int) -> Frame:
