@@ -142,7 +142,7 @@ class VideoEncoding:
         """`open_clip` opens the clip for this thread alone; `timed` measures the stage "video"."""
         self._open, self._timed = open_clip, timed or (lambda name: nullcontext())
         self._stop = threading.Event()
-        self._thread = ThreadPoolExecutor(1, "video")
+        self._thread = ThreadPoolExecutor(1, "encoder")
         self._video = self._thread.submit(self._encoded) if can_encode_av1() else None
 
     @property

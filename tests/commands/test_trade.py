@@ -5,15 +5,18 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from diethrow.commands.clip import analyze as analyses
 from diethrow.commands.clip import trade as trades
 from diethrow.commands.clip.trade import read_trade, setting_for, trade
 from diethrow.files.scene import read_scene
 from diethrow.replay.pages.trade import Setting, Trade, fastest_within, trade_page
 from diethrow.tracking.footage.decimation import Decimation
+from diethrow.tracking.quality import QUALITIES
 
 SAMPLE = Path(__file__).parents[2] / "data_samples" / "cube_wood" / "scene.toml"
 
@@ -104,10 +107,27 @@ def test_a_setting_is_chosen_from_measurements(measured: tuple[Trade, Path]) -> 
     found, out = measured
     best = fastest_within(found.of("tracking"), 0.3)
     assert best is not None
-    assert setting_for(read_scene(SAMPLE), 0.3, out / "trade.json") == best.choice
+    chosen = setting_for(read_scene(SAMPLE), 0.3, out / "trade.json")
+    assert (chosen.quality, chosen.decimation, chosen.tracking) == (*best.choice, None)
     assert best.choice in {("fast", Decimation(4, 2)), ("fast", Decimation(1, 1))}
     with pytest.raises(ValueError, match="no setting in it gives χ"):
         setting_for(read_scene(SAMPLE), 1e-9, out / "trade.json")
+
+
+def test_a_clip_that_was_tracked_to_choose_a_setting_is_not_tracked_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The results are those of an analysis with that setting alone."""
+    scene = read_scene(SAMPLE)
+    monkeypatch.setattr(trades, "LADDER", (("fast", 4, 2),))
+    chosen = setting_for(scene, 0.9)
+    assert chosen.tracking is not None
+    options: dict[str, Any] = {"quality": QUALITIES[chosen.quality], "decimation": chosen.decimation}
+    analyses.analyze(scene, tmp_path / "alone", **options)
+    monkeypatch.setattr(analyses, "track_scene", None)
+    analyses.analyze(scene, tmp_path / "reused", tracked=chosen.tracking, **options)
+    for name in ("track.csv", "track_frames.csv", "bounces.csv", "fit.json"):
+        assert (tmp_path / "alone" / name).read_bytes() == (tmp_path / "reused" / name).read_bytes(), name
 
 
 def test_another_json_file_is_refused(tmp_path: Path) -> None:

@@ -93,13 +93,16 @@ def analyze(
 
         with checked_options():
             check_half_width(chi_within, trade_file)
-        options = RunOptions(quality, every, shrink, timing, intervals, embed_replay, figures)
+        options, tracked = RunOptions(quality, every, shrink, timing, intervals, embed_replay, figures), None
         with progress_bars() as progress:
             if chi_within is not None:
                 from ..commands.clip.trade import setting_for
 
-                chosen, less = setting_for(checked, chi_within, trade_file, progress)
-                options = replace(options, quality=chosen, every=less.every, shrink=less.shrink)
+                chosen = setting_for(checked, chi_within, trade_file, progress)
+                less = chosen.decimation
+                # What was tracked to choose the setting has the times as they are usually corrected.
+                tracked = chosen.tracking if timing == "corrected" else None
+                options = replace(options, quality=chosen.quality, every=less.every, shrink=less.shrink)
                 print_setting(chi_within, options)
         with progress_bars() as progress, model_ahead():
             result = analyze_scene(
@@ -108,6 +111,7 @@ def analyze(
                 force=force,
                 progress=progress,
                 command=(*command_words("analyze", scene, out, force, allow_outside), *options.words("analyze")),
+                tracked=tracked,
                 **options.arguments("analyze"),
             )
         print_analysis(result, as_json)

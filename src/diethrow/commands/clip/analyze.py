@@ -42,12 +42,14 @@ def analyze(
     timing: Timing = "corrected",
     progress: Progress = silent,
     command: tuple[str, ...] = (),
+    tracked: Tracking | None = None,
 ) -> AnalysedThrow:
     """Everything from clip to replay, written to the folder `out`.
 
     `decimation` leaves out frames, or makes the pictures smaller; `intervals` says where those of the parameters come
     from; `shown` what is drawn besides; `timing` whether the times of missing and repeated frames are corrected; `command`
-    is repeated in the provenance, and left out it is the one that would do the same. Raises SceneError for a scene that
+    is repeated in the provenance, and left out it is the one that would do the same; `tracked` is what the scene's clips gave
+    with these settings, if they were tracked before. Raises SceneError for a scene that
     cannot be analysed, RunError for a clip without a die, OutputExistsError for a folder that exists (unless `force`); then
     no folder is left.
     """
@@ -62,7 +64,8 @@ def analyze(
         loaded_ahead(*WRITERS),
         VideoEncoding(lambda: first_clip(scene, decimation), watch.stage) as encoding,
     ):
-        found, tracking = _analysed(scene, quality, decimation, intervals, timing, progress, watch)
+        tracking = tracked or track_scene(scene, progress, watch, quality, decimation=decimation, timing=timing)
+        found = _fitted(scene, tracking, decimation, intervals, progress, watch)
         write_values(folder, found)
         record_replay(folder, found.record, progress, watch, encoding if encoding.available else None)
         write_origin(folder, scene, command, inputs, watch, tracking)
@@ -84,22 +87,21 @@ def analysed(
     watch = Stopwatch()
     check_scene(scene)
     with one_thread(), unchanged_inputs(input_paths(scene)) as inputs:
-        found, tracking = _analysed(scene, quality, decimation, intervals, timing, progress, watch)
+        tracking = track_scene(scene, progress, watch, quality, decimation=decimation, timing=timing)
+        found = _fitted(scene, tracking, decimation, intervals, progress, watch)
         origin = origin_table(scene, (), inputs, watch, tracking)
     return replace(found, details=replace(found.details, origin=origin), seconds=watch.seconds)
 
 
-def _analysed(
+def _fitted(
     scene: Scene,
-    quality: Quality,
+    tracking: Tracking,
     decimation: Decimation,
     intervals: IntervalMethod,
-    timing: Timing,
     progress: Progress,
     watch: Stopwatch,
-) -> tuple[AnalysedThrow, Tracking]:
-    """The analysis, without its origin, and what it was tracked from."""
-    tracking = track_scene(scene, progress, watch, quality, decimation=decimation, timing=timing)
+) -> AnalysedThrow:
+    """The analysis of a tracked throw, without its origin."""
     fit = run_fit(tracking.unbiased, tracking.measured, tracking.die, progress, watch, Choices(intervals))
     fit = replace(fit, messages=(*fit.messages, *scene.assumptions))
     record = Record(
@@ -116,7 +118,7 @@ def _analysed(
         notices=tracking.notices,
     )
     details = ReportDetails(tracking.unbiased, _findings(scene, tracking))
-    return AnalysedThrow(record, details, scene, tracking.faces.numbers, decimation), tracking
+    return AnalysedThrow(record, details, scene, tracking.faces.numbers, decimation)
 
 
 def _findings(scene: Scene, tracking: Tracking) -> tuple[Finding, ...]:

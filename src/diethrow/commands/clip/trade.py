@@ -156,9 +156,19 @@ def setting_from(measured: Path, within: float) -> tuple[str, Decimation]:
     return best.choice
 
 
+@dataclass(frozen=True, eq=False)
+class ChosenSetting:
+    """The fastest setting that is accurate enough."""
+
+    quality: str
+    decimation: Decimation
+    tracking: Tracking | None = None
+    """What it tracked, if that was needed to choose it: the clip need not be tracked again."""
+
+
 def setting_for(
     scene: Scene, within: float, measured: Path | None = None, progress: Progress = silent
-) -> tuple[str, Decimation]:
+) -> ChosenSetting:
     """Quality and decimation of the fastest analysis that gives χ to ± `within`.
 
     The setting is taken from the trade.json `measured` of this or a similar scene. Without it, the settings of LADDER are tried
@@ -166,19 +176,20 @@ def setting_for(
     ValueError if no setting is accurate enough, RunError if no setting finds the die.
     """
     if measured is not None:
-        return setting_from(measured, within)
+        return ChosenSetting(*setting_from(measured, within))
     narrowest: float | None = None
     for k, (quality, every, shrink) in enumerate(LADDER):
         progress("Choosing a setting", k, len(LADDER))
         try:
-            run = track_and_fit(scene, QUALITIES[quality], Decimation(every, shrink))
+            with one_thread():
+                run = track_and_fit(scene, QUALITIES[quality], Decimation(every, shrink))
         except RunError:
             if k == len(LADDER) - 1:
                 raise
             continue
         width = setting_of(*named((quality, every, shrink)), run, None, None).half_width
         if width is not None and width <= 0.5 * within:
-            return quality, Decimation(every, shrink)
+            return ChosenSetting(quality, Decimation(every, shrink), run.tracking)
         narrowest = min(width, narrowest or np.inf) if width is not None else narrowest
     reached = "leaves χ undetermined" if narrowest is None else f"gives ±{narrowest:.2g}"
     raise InputError(
