@@ -56,3 +56,4 @@ from .video import can_encode_av1 as can_encode_av1
 from .video import display_window as display_window
 from .video import encode_av1 as encode_av1
 from .video import encode_jpegs as encode_jpegs
+from .video import shown_rows as shown_rows

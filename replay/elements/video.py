@@ -41,6 +41,9 @@ KEY_FRAME_INTERVAL = "30"
 """Frames between key frames: a shorter interval makes seeking faster and files larger."""
 AV1_MIN_SIZE_PX = 64
 """The AV1 encoder refuses smaller images."""
+MOST_SHOWN_FRAMES = 3000
+"""Most frames of a video: two seconds at 1500 frames/s. To encode a frame takes twice the time of tracking it in a long clip,
+whose neighbouring frames hardly differ."""
 JPEG_QUALITY = 90
 THREADS = Path("/proc/self/task")
 """Where Linux lists the threads of this process; the priorities below are a problem on Linux only."""
@@ -96,6 +99,13 @@ def display_window(clip: Clip) -> Window:
     return Window(float(black), float(max(white, black + 1.0)))
 
 
+def shown_rows(clip: Clip) -> NDArray[np.int64]:
+    """Rows of the frames that a recording shows: all of them, or every n-th of a clip of more than MOST_SHOWN_FRAMES. The poses
+    of the others are there, over the picture shown last."""
+    step = -(-len(clip) // MOST_SHOWN_FRAMES)
+    return np.arange(0, len(clip), step)
+
+
 def can_encode_av1() -> bool:
     """Whether this build of FFmpeg has the AV1 encoder SVT-AV1."""
     import av
@@ -104,7 +114,8 @@ def can_encode_av1() -> bool:
 
 
 def encode_av1(clip: Clip, window: Window, stop: threading.Event | None = None) -> bytes:
-    """The clip as an AV1 video in mp4, frame k at k / 30 s. Images of odd size gain a row or column at the end.
+    """The frames `shown_rows` of a clip as an AV1 video in mp4, number k at k / 30 s. Images of odd size gain a row or column at
+    the end.
 
     Raises CancelledError once `stop` is set, and as `clip.frames`.
     """
@@ -120,7 +131,7 @@ def encode_av1(clip: Clip, window: Window, stop: threading.Event | None = None) 
         stream = video.add_stream("libsvtav1", rate=NOMINAL_FPS, options=options)
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
         stream.time_base = Fraction(1, NOMINAL_FPS)
-        for number, frame in enumerate(clip.frames()):
+        for number, frame in enumerate(_shown_frames(clip)):
             if stop is not None and stop.is_set():
                 raise CancelledError
             planes[:height] = np.pad(window.video_levels(frame), margin, mode="edge")
@@ -204,9 +215,15 @@ def _reset_priorities() -> None:
 
 
 def encode_jpegs(clip: Clip, window: Window) -> Iterator[bytes]:
-    """Each frame as a JPEG. Raises ValueError if a frame cannot be encoded."""
-    for frame in clip.frames():
+    """Each of the frames `shown_rows` as a JPEG. Raises ValueError if a frame cannot be encoded."""
+    for frame in _shown_frames(clip):
         done, data = cv2.imencode(".jpg", window.apply(frame), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
         if not done:
             raise InputError(f"a frame of {frame.shape[1]} x {frame.shape[0]} pixels could not be encoded as JPEG")
         yield data.tobytes()
+
+
+def _shown_frames(clip: Clip) -> Iterator[Frame]:
+    """In order; where all are shown, as the clip reads them fastest."""
+    rows = shown_rows(clip)
+    return clip.frames() if len(rows) == len(clip) else (clip.frame(k) for k in rows.tolist())

@@ -23,6 +23,7 @@ from ..elements import (
     display_window,
     encode_av1,
     encode_jpegs,
+    shown_rows,
 )
 from .timelines import on_frames
 
@@ -132,8 +133,13 @@ def _send_camera(recording: rr.RecordingStream, camera: Camera) -> None:
 def _send_video(recording: rr.RecordingStream, clip: Clip, encoding: VideoEncoding | None) -> tuple[str, ...]:
     """Send the clip as AV1, or as JPEG images if this FFmpeg has no AV1 encoder; returns notices."""
     window = display_window(clip)
-    entity, frames = "world/camera/image", clip.first_frame + np.arange(len(clip), dtype=np.int64)
+    entity, rows = "world/camera/image", shown_rows(clip)
+    frames, times_s = clip.first_frame + rows, clip.times_s[rows]
     notices = []
+    if len(rows) < len(clip):
+        notices.append(
+            f"The video shows one frame in {rows[1] - rows[0]}, because the clip is long; poses are on every frame."
+        )
     if clip.bit_depth > 8:
         levels = f"{window.black:.0f} to {window.white:.0f}"
         notices.append(f"The video shows the grey levels {levels} of {clip.bit_depth} bits as black to white.")
@@ -141,13 +147,13 @@ def _send_video(recording: rr.RecordingStream, clip: Clip, encoding: VideoEncodi
         encoded = encode_av1(clip, window) if encoding is None else encoding.result()
         video = rr.AssetVideo(contents=encoded, media_type="video/mp4")
         timestamps_ns = video.read_frame_timestamps_nanos()
-        assert len(timestamps_ns) == len(clip), f"{len(timestamps_ns)} frames in the video of {len(clip)}"
+        assert len(timestamps_ns) == len(rows), f"{len(timestamps_ns)} frames in the video of {len(rows)}"
         recording.log(entity, video, static=True)
         references = rr.VideoFrameReference.columns_nanos(timestamps_ns)
-        recording.send_columns(entity, on_frames(frames, clip.times_s), references)
+        recording.send_columns(entity, on_frames(frames, times_s), references)
     else:
         notices.append("The video is stored as JPEG images, because no AV1 encoder was found.")
         for number, jpeg in enumerate(encode_jpegs(clip, window)):
-            row = on_frames(frames[number : number + 1], clip.times_s[number : number + 1])
+            row = on_frames(frames[number : number + 1], times_s[number : number + 1])
             recording.send_columns(entity, row, rr.EncodedImage.columns(blob=[jpeg], media_type=["image/jpeg"]))
     return tuple(notices)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import io
 import os
+import time
+from collections.abc import Iterator
+from concurrent.futures import CancelledError
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +16,7 @@ import cv2
 import numpy as np
 import pytest
 import replay_records as made
+from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 from rrd_files import entities, rows, verify
 
@@ -213,6 +217,50 @@ def test_every_frame_of_the_video_shows_its_own_image(written: Path) -> None:
         nearest = min(shown, key=lambda time: abs(time - stamp[0]))
         assert abs(nearest - stamp[0]) <= 1
         assert made.code_of(shown[nearest]) == k
+
+
+def test_the_video_of_a_long_clip_shows_one_frame_in_so_many_at_its_own_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(video, "MOST_SHOWN_FRAMES", 25)
+    path = tmp_path / "long.rrd"
+    write_recording(path, made.record(clip=made.coded_clip()))
+    ((_, blob),) = rows(path, "/world/camera/image", "AssetVideo:blob")
+    references = rows(path, "/world/camera/image", "VideoFrameReference:timestamp", "frame")
+    shown = np.arange(0, made.FRAMES, 3)
+    assert [frame for frame, _ in references] == (made.FIRST_FRAME + shown).tolist()
+    with av.open(io.BytesIO(bytes(blob[0]))) as film:
+        codes = [made.code_of(picture.to_ndarray(format="gray")) for picture in film.decode(video=0)]
+    assert codes == shown.tolist()
+    ((_, text),) = rows(path, "/report/estimate", "TextDocument:text")
+    assert "one frame in 3" in text[0]
+
+
+def test_a_video_encoded_ahead_is_that_of_the_recording(tmp_path: Path) -> None:
+    clip = made.coded_clip()
+    with video.VideoEncoding(lambda: clip) as encoding:
+        assert encoding.result() == video.encode_av1(clip, video.display_window(clip))
+
+
+def test_the_end_of_the_block_stops_an_encoding() -> None:
+    """However long the clip is, and whether or not anybody waits for the video."""
+    clip = made.coded_clip(4)
+    read = []
+
+    class Endless(made.ArrayClip):
+        def frames(self, start: int = 0, stop: int | None = None) -> Iterator[NDArray[np.uint8]]:
+            while True:
+                read.append(1)
+                yield clip.array[0]
+
+    with video.VideoEncoding(lambda: Endless(clip.array, clip.times_s)) as encoding:
+        while len(read) < 3:
+            time.sleep(0.01)
+    count = len(read)
+    time.sleep(0.1)
+    assert len(read) == count
+    with pytest.raises(CancelledError):
+        encoding.result()
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="this system has no such priorities")
