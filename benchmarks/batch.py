@@ -1,9 +1,10 @@
-"""Speed of two workers over one, for whole analyses of clips.
+"""Speed of two workers over one, and over single commands, for whole analyses of clips.
 
-    python benchmarks/batch.py --clips 12 --repeats 2
+    python benchmarks/batch.py --clips 10 --repeats 2 --singles
 
-Analyses copies of the short sample with one worker and with two in turn, and prints the ratio of the times. The machine
-should be idle; the load before the run is printed beside the figures.
+Analyses copies of the short sample with one worker and with two in turn, with `--singles` also by one `diethrow analyze` a clip,
+one after the other, and prints the ratios of the times. The machine should be idle; the load before the run is printed beside the
+figures.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from __future__ import annotations
 import argparse
 import os
 import shutil
+import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -27,6 +30,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=2)
     parser.add_argument("--workers", type=int, nargs=2, default=(1, 2))
     parser.add_argument("--only-track", action="store_true")
+    parser.add_argument("--singles", action="store_true")
     options = parser.parse_args()
     print(f"load before: {os.getloadavg()[0]:.2f} on {os.cpu_count()} cores")
     with tempfile.TemporaryDirectory() as temporary:
@@ -42,6 +46,23 @@ def main() -> None:
                 f"ratio {seconds[few] / seconds[many]:.2f}",
                 flush=True,
             )
+            if options.singles:
+                alone = singles(scenes, root / f"alone_{repeat}")
+                share = seconds[many] / alone
+                print(
+                    f"    single commands {alone:.1f} s, of which {many} workers take {100 * share:.0f} %", flush=True
+                )
+
+
+def singles(scenes: list[Path], out: Path) -> float:
+    """Seconds of one command a clip, one after the other."""
+    out.mkdir()
+    program = "import sys; from diethrow.cli import main; sys.argv[0] = 'diethrow'; main()"
+    begin = time.perf_counter()
+    for k, scene in enumerate(scenes):
+        words = [sys.executable, "-c", program, "analyze", str(scene), "--out", str(out / str(k))]
+        subprocess.run(words, check=True, capture_output=True)
+    return time.perf_counter() - begin
 
 
 def copied(folder: Path) -> Path:

@@ -12,9 +12,10 @@ import csv
 import logging
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from dataclasses import dataclass, fields
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal
 
@@ -147,13 +148,15 @@ def run_batch(
     with locked(out):
         out.mkdir(parents=True, exist_ok=True)
         ledger = _Ledger(out, tasks, progress)
-        missing = [task for task in tasks if not ledger.found(task)]
+        new = [task for task in tasks if not task.folder.exists()]
+        # Clips without a folder come first: the bytes of the others are compared while the workers are busy with these.
+        others = (task for task in tasks if task not in new and not ledger.found(task))
         ledger.write()
         if executor is not None:
-            ledger.take(_worked(missing, executor))
-        elif missing:
-            with Processes(min(workers or cores(), len(missing))) as processes:
-                ledger.take(_worked(missing, processes))
+            ledger.take(_worked(chain(new, others), executor))
+        else:
+            with Processes(min(workers or cores(), len(tasks))) as processes:
+                ledger.take(_worked(chain(new, others), processes))
         ledger.write()
     return ledger.batch()
 
@@ -355,7 +358,7 @@ class _Ledger:
         self._progress(Standing(done, failed, total, left_s, str(task.scene)))
 
 
-def _worked(tasks: Sequence[Task], executor: Executor) -> Iterator[tuple[Task, Failure | None]]:
+def _worked(tasks: Iterable[Task], executor: Executor) -> Iterator[tuple[Task, Failure | None]]:
     """Each task with its failure or None, in order of completion; a task whose worker died is submitted again."""
     running: dict[Future[Failure | None], Task] = {}
     losses: Counter[Task] = Counter()
