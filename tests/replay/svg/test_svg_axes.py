@@ -102,7 +102,7 @@ def test_a_point_lies_at_the_affine_place_of_its_values() -> None:
 
 @pytest.mark.parametrize("limits", [(0.0, 50.0), (50.0, 0.0)])
 def test_limits_and_ticks_are_as_matplotlib_understands_them(limits: tuple[float, float]) -> None:
-    """The values of the ticks lie, in shares of the axis, where matplotlib puts them, also on an axis that points the other way."""
+    """Ticks lie, in shares of the axis, where matplotlib puts them, also on an axis that points the other way."""
     ax, other = SvgAxes(INCHES), Figure(figsize=INCHES).subplots()
     for each in (ax, other):
         each.set_xlim(*limits)
