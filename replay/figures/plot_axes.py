@@ -19,7 +19,7 @@ class PlotAxes(Protocol):
     def step(self, *args: Any, **style: Any) -> Any:
         """A curve of steps."""
 
-    def bar(self, x: Sequence[str], height: Sequence[float], /, width: float = ..., *, color: str = ...) -> Any:
+    def bar(self, x: Sequence[str], height: Sequence[float], /, width: float = ..., *, color: str) -> Any:
         """A bar for each name."""
 
     def imshow(

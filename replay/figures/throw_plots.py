@@ -165,7 +165,7 @@ def correlations(ax: Axes, covariance: Array, names: Sequence[str]) -> Axes:
     shown = ax.imshow(r, cmap=shades, vmin=-1.0, vmax=1.0)
     for row, column in np.ndindex(r.shape):
         if row != column and np.isfinite(r[row, column]):
-            text = f"{100 * r[row, column]:.0f}".replace("-", "−")
+            text = str(round(100 * float(r[row, column]))).replace("-", "−")
             ax.text(column, row, text, ha="center", va="center", fontsize=6.0, color="#1d2126")
     ax.set_xticks(range(len(names)), names, rotation=90)
     ax.set_yticks(range(len(names)), names)

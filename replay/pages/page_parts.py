@@ -40,6 +40,7 @@ ul { padding-left: 1.2rem; max-width: 42rem; }
 li { margin: .3rem 0; }
 .matrix { width: auto; font-size: .75rem; } .matrix th { font-size: .75rem; }
 .matrix td, .matrix thead th { min-width: 2.3rem; padding: .3rem .2rem; text-align: center; border: 0; }
+.matrix td:empty { background: var(--wash); }
 .matrix tbody th { padding: .3rem .6rem .3rem 0; border: 0; }
 .unknown { color: var(--soft); font-style: italic; }
 .dot { display: inline-block; width: .7em; height: .7em; border-radius: 50%; margin: 0 .35em 0 0; }

@@ -6,29 +6,23 @@ and inches are converted at the door. The width of a text is estimated, since th
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from html import escape
 from typing import Any, Literal
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .elements import ASCENT, DESCENT, FONT_PX, INK, LINE_GREY, embedded, plate, stroke, text_px, unit, words
+from .legend import Handle, Legend
 from .paths import UNITS_PER_PX, curve, dots, steps_after
-from .ticks import round_ticks, tick_texts
+from .scales import Box, Scale
 
 Array = NDArray[np.float64]
 
 PX_PER_INCH = 96.0
 PX_PER_POINT = PX_PER_INCH / 72.0
-FONT_PX = 12.0
-"""Size of all text without a size of its own: 9 points."""
-CHARACTER = 0.6
-"""Mean width of a character, as a share of the font's size: that of digits in DejaVu Sans, which is a wide font."""
-ASCENT, DESCENT = 0.76, 0.22
-"""How far capitals reach above the base line, and other letters below it, as shares of the font's size."""
 TICK_PX = 4.0
 PAD_PX = 4.0
 """Between ticks, their numbers, and the name of the axis."""
@@ -36,147 +30,13 @@ EDGE_PX = 7.0
 """Free space at the edges of the picture: half of a number that stands at the end of an axis."""
 DOT_EDGE_POINTS = 1.0
 """matplotlib draws this edge around markers, which makes them that much wider."""
-DEFAULT_MARGIN = 0.05
-"""Free space beside the data, as a share of its extent."""
-X_TICK_PX, Y_TICK_PX = 75.0, 30.0
+X_TICK_PX, Y_TICK_PX = 50.0, 36.0
 """Smallest mean distance of ticks."""
-MIN_TICKS, MAX_TICKS = 4, 11
-JPEG_QUALITY = 90
-"""At equal quality, WebP is half as large and takes fifty times as long to write."""
-PICTURE_DENSITY = 2.0
-"""Pixels of an embedded picture for each CSS pixel; a finer picture is shrunk to that."""
-HANDLE_PX = 20.0
-"""Length of a line beside its name in the legend."""
-LEGEND_LINE_PX = 17.0
-LEGEND_GAP_PX = 18.0
-"""Between the columns of a legend."""
-MIDDLE_PASSES = 2
+LAYOUT_PASSES = 2
 """The margins depend on the ticks, and these on the space that the margins leave; the second pass settles it."""
-
-INK, LINE_GREY = "#3a414a", "#7d858f"
-"""Of text, and of the lines and ticks of the axes."""
-
-
-@dataclass
-class Scale:
-    """One direction of the axes: what was set, and how far the data reaches."""
-
-    low: float | None = None
-    high: float | None = None
-    """At the left or lower end, and at the other; `low` may be the larger one."""
-    margin: float = DEFAULT_MARGIN
-    ticks: list[float] | None = None
-    texts: list[str] | None = None
-    name: str = ""
-    reach: list[float] = field(default_factory=list)
-    """The extremes of the data so far."""
-
-    def include(self, values: ArrayLike) -> None:
-        """Let the limits contain these values."""
-        known = np.asarray(values, float)
-        known = known[np.isfinite(known)]
-        if known.size:
-            self.reach = [min([*self.reach, float(known.min())]), max([*self.reach, float(known.max())])]
-
-    def limits(self) -> tuple[float, float]:
-        """The values at both ends."""
-        low, high = self.reach or (0.0, 1.0)
-        # As wide as the value is large: 1e-9 would be lost in its rounding.
-        spare = self.margin * (high - low) if high > low else DEFAULT_MARGIN * max(abs(low), 1.0)
-        low, high = low - spare, high + spare
-        low, high = self.low if self.low is not None else low, self.high if self.high is not None else high
-        return (low, high) if low != high else (low - 0.5, high + 0.5)
-
-    def shown(self, length_px: float, tick_px: float) -> tuple[list[float], list[str]]:
-        """The ticks on an axis of this length, and their texts."""
-        low, high = sorted(self.limits())
-        most = int(np.clip(length_px // tick_px, MIN_TICKS, MAX_TICKS))
-        ticks = round_ticks(low, high, most) if self.ticks is None else self.ticks
-        return ticks, self.texts if self.texts is not None else tick_texts(ticks)
-
-
-@dataclass(frozen=True)
-class Box:
-    """The rectangle of the data within the picture, and the values at its edges."""
-
-    left: float
-    top: float
-    width: float
-    height: float
-    x_limits: tuple[float, float]
-    y_limits: tuple[float, float]
-
-    def x(self, values: ArrayLike) -> Array:
-        """Where values lie [px] from the box's left edge."""
-        low, high = self.x_limits
-        return np.asarray((np.asarray(values, float) - low) * (self.width / (high - low)))
-
-    def y(self, values: ArrayLike) -> Array:
-        """Where values lie [px] below the box's upper edge."""
-        low, high = self.y_limits
-        return np.asarray((high - np.asarray(values, float)) * (self.height / (high - low)))
-
 
 Mark = Callable[[Box], str]
 """Writes something in the box, in units of 1 / UNITS_PER_PX px."""
-
-
-@dataclass(frozen=True)
-class Handle:
-    """One line of the legend."""
-
-    text: str
-    colour: str
-    line_px: float
-    dot_px: float
-
-
-@dataclass(frozen=True)
-class Legend:
-    """The names of the curves."""
-
-    handles: tuple[Handle, ...]
-    loc: str
-    anchor: tuple[float, float]
-    columns: int
-    dot_scale: float
-
-    @property
-    def handle_px(self) -> float:
-        """The space for the line or dot before each name."""
-        return HANDLE_PX if any(handle.line_px for handle in self.handles) else 0.5 * HANDLE_PX
-
-    @property
-    def column_px(self) -> float:
-        """The distance from one column to the next."""
-        widest = max((text_px(handle.text) for handle in self.handles), default=0.0)
-        return self.handle_px + PAD_PX + widest + LEGEND_GAP_PX
-
-    @property
-    def size(self) -> tuple[float, float]:
-        """Width and height."""
-        columns = min(self.columns, len(self.handles))
-        rows = -(-len(self.handles) // max(self.columns, 1))
-        return columns * self.column_px - LEGEND_GAP_PX, rows * LEGEND_LINE_PX
-
-    @property
-    def is_beside(self) -> bool:
-        """Whether it stands to the right of the data."""
-        return "left" in self.loc and self.anchor[0] >= 1.0
-
-    @property
-    def is_above(self) -> bool:
-        """Whether it stands above the data."""
-        return "lower" in self.loc and self.anchor[1] >= 1.0
-
-    def corner(self, box: Box) -> tuple[float, float]:
-        """Its upper left corner in the picture."""
-        width, height = self.size
-        x, y = box.left + self.anchor[0] * box.width, box.top + (1.0 - self.anchor[1]) * box.height
-        left = x - width if "right" in self.loc else x - 0.5 * width if self.loc.endswith("center") else x
-        upper = y - height if "lower" in self.loc else y - 0.5 * height if self.loc.startswith("center") else y
-        beside = 2.0 * PAD_PX if self.is_beside else 0.0
-        return left + beside, upper - (PAD_PX if self.is_above else 0.0)
 
 
 class Spines:
@@ -245,9 +105,9 @@ class SvgAxes:
         if kind[-1] in "o.":
             dot_px = PX_PER_POINT * ((markersize if kind[-1] == "o" else 0.5 * markersize) + DOT_EDGE_POINTS)
         if line_px:
-            self._add(zorder, lambda box: _stroke(curve(*_units(box, along, up)), color, line_px))
+            self._add(zorder, lambda box: stroke(curve(*_units(box, along, up)), color, line_px))
         if dot_px:
-            self._add(zorder, lambda box: _stroke(dots(*_units(box, along, up)), color, dot_px))
+            self._add(zorder, lambda box: stroke(dots(*_units(box, along, up)), color, dot_px))
         if label is not None:
             self._handles.append(Handle(label, color, line_px, dot_px))
 
@@ -284,8 +144,8 @@ class SvgAxes:
             places = np.arange(len(x))
             left, right = box.x(places - 0.5 * width), box.x(places + 0.5 * width)
             sides = zip(left, right, box.y(height), strict=True)
-            base = _unit(float(box.y(0.0)))
-            d = "".join(f"M{_unit(a)} {base}V{_unit(top)}H{_unit(b)}V{base}z" for a, b, top in sides)
+            base = unit(float(box.y(0.0)))
+            d = "".join(f"M{unit(a)} {base}V{unit(top)}H{unit(b)}V{base}z" for a, b, top in sides)
             return f'<path d="{d}" fill="{escape(color)}"/>'
 
         self._add(1.0, mark)
@@ -319,10 +179,10 @@ class SvgAxes:
         def mark(box: Box) -> str:
             (x0, x1), (y0, y1) = np.sort(box.x([left, right])), np.sort(box.y([bottom, top]))
             shape = " ".join(
-                f'{name}="{_unit(value)}"'
+                f'{name}="{unit(value)}"'
                 for name, value in zip(("x", "y", "width", "height"), (x0, y0, x1 - x0, y1 - y0), strict=True)
             )
-            return f'<image {shape} preserveAspectRatio="none" {_embedded(picture, x1 - x0)}/>'
+            return f'<image {shape} preserveAspectRatio="none" {embedded(picture, x1 - x0)}/>'
 
         self._add(0.0, mark)
 
@@ -342,22 +202,20 @@ class SvgAxes:
         """Text at a place of the data; `bbox` with a colour `fc` lays a rounded rectangle beneath it."""
         size = PX_PER_POINT * fontsize
 
-        def words(box: Box) -> str:
+        def written(box: Box) -> str:
             place = box.left + float(box.x(x)), box.top + float(box.y(y))
             below = {"top": ASCENT, "center": 0.5 * (ASCENT - DESCENT), "bottom": -DESCENT, "baseline": 0.0}[va] * size
             anchor = {"left": "start", "center": "middle", "right": "end"}[ha]
-            beneath = _plate(place[0], place[1] + below, text, size, str(bbox["fc"])) if bbox is not None else ""
-            return beneath + _text(place[0], place[1] + below, text, anchor, size, color)
+            beneath = plate(place[0], place[1] + below, text, size, str(bbox["fc"])) if bbox is not None else ""
+            return beneath + words(place[0], place[1] + below, text, anchor, size, color)
 
-        self._words.append(words)
+        self._words.append(written)
 
     def axhline(self, y: float, /, *, color: str, linewidth: float, zorder: float = 2.0) -> None:
         """A horizontal line across the axes."""
         self._y.include(y)
         width = PX_PER_POINT * linewidth
-        self._add(
-            zorder, lambda box: _stroke(f"M0 {_unit(float(box.y(y)))}h{_unit(box.width)}", color, width, cap="butt")
-        )
+        self._add(zorder, lambda box: stroke(f"M0 {unit(float(box.y(y)))}h{unit(box.width)}", color, width, cap="butt"))
 
     def axvline(
         self,
@@ -375,7 +233,7 @@ class SvgAxes:
         dashes = [width * part for part in linestyle[1]] if linestyle is not None else []
         self._add(
             zorder,
-            lambda box: _stroke(f"M{_unit(float(box.x(x)))} 0v{_unit(box.height)}", color, width, dashes, cap="butt"),
+            lambda box: stroke(f"M{unit(float(box.x(x)))} 0v{unit(box.height)}", color, width, dashes, cap="butt"),
         )
 
     def axhspan(
@@ -386,7 +244,7 @@ class SvgAxes:
 
         def mark(box: Box) -> str:
             upper, lower = np.sort(box.y([low, high]))
-            d = f"M0 {_unit(upper)}h{_unit(box.width)}V{_unit(lower)}H0z"
+            d = f"M0 {unit(upper)}h{unit(box.width)}V{unit(lower)}H0z"
             return f'<path d="{d}" fill="{escape(color)}" fill-opacity="{alpha:g}"/>'
 
         self._add(zorder, mark)
@@ -450,13 +308,13 @@ class SvgAxes:
         box, bottom = self._layout()
         marks = "".join(mark(box) for _, mark in sorted(self._marks, key=lambda each: each[0]))
         size = f'width="{box.width:.1f}" height="{box.height:.1f}"'
-        units = f"0 0 {_unit(box.width)} {_unit(box.height)}"
+        units = f"0 0 {unit(box.width)} {unit(box.height)}"
         # An inner <svg> cuts off what lies outside the limits, and needs no name as a clip path would.
         parts = [
             f'<svg x="{box.left:.1f}" y="{box.top:.1f}" {size} viewBox="{units}">{marks}</svg>',
             *self._frame(box),
-            *(words(box) for words in self._words),
-            *([_legend(self._legend, box)] if self._legend is not None and self._legend.handles else []),
+            *(written(box) for written in self._words),
+            *([self._legend.svg(box)] if self._legend is not None and self._legend.handles else []),
         ]
         return (
             f'<svg viewBox="0 0 {self.width:.0f} {box.top + box.height + bottom:.0f}" role="img" '
@@ -478,9 +336,14 @@ class SvgAxes:
         top, right = max(above, EDGE_PX), max(beside, EDGE_PX)
         x_limits, y_limits = self._x.limits(), self._y.limits()
         height = self.height - top - bottom
-        for _ in range(MIDDLE_PASSES):
+        for _ in range(LAYOUT_PASSES):
             texts = self._y.shown(height, Y_TICK_PX)[1]
-            left = max(map(text_px, texts), default=0.0) + self._tick_px + PAD_PX + (outside if self._y.name else 0.0)
+            left = (
+                max(map(text_px, texts), default=0.0)
+                + self._tick_px
+                + PAD_PX
+                + (outside + PAD_PX if self._y.name else 0.0)
+            )
             width = self.width - max(left, EDGE_PX) - right
             if self._equal:
                 height = width * abs((y_limits[1] - y_limits[0]) / (x_limits[1] - x_limits[0]))
@@ -501,89 +364,20 @@ class SvgAxes:
         base = lower + self._tick_px + PAD_PX + ASCENT * FONT_PX
         for place, text in zip(box.left + box.x(ticks), texts, strict=True):
             d += f"M{place:.1f} {lower:.1f}v{self._tick_px:.1f}" if self._tick_px else ""
-            parts.append(_text(place, base, text, "middle"))
+            parts.append(words(place, base, text, "middle"))
         ticks, texts = self._y.shown(box.height, Y_TICK_PX)
         edge = box.left - self._tick_px - PAD_PX
         for place, text in zip(box.top + box.y(ticks), texts, strict=True):
             d += f"M{box.left:.1f} {place:.1f}h{-self._tick_px:.1f}" if self._tick_px else ""
-            parts.append(_text(edge, place + 0.5 * (ASCENT - DESCENT) * FONT_PX, text, "end"))
+            parts.append(words(edge, place + 0.5 * (ASCENT - DESCENT) * FONT_PX, text, "end"))
         if self._x.name:
             lowest = base + (FONT_PX + PAD_PX if self._x.ticks != [] else 0.0)
-            parts.append(_text(box.left + 0.5 * box.width, lowest, self._x.name, "middle"))
+            parts.append(words(box.left + 0.5 * box.width, lowest, self._x.name, "middle"))
         if self._y.name:
             place = f'transform="translate({ASCENT * FONT_PX:.1f} {box.top + 0.5 * box.height:.1f})rotate(-90)"'
-            parts.append(f"<g {place}>{_text(0.0, 0.0, self._y.name, 'middle')}</g>")
+            parts.append(f"<g {place}>{words(0.0, 0.0, self._y.name, 'middle')}</g>")
         return [f'<path d="{d}" stroke="{LINE_GREY}"/>' if d else "", *parts]
-
-
-def text_px(text: str, size_px: float = FONT_PX) -> float:
-    """About the width of a text."""
-    return CHARACTER * size_px * len(text)
-
-
-def _unit(px: float) -> int:
-    return round(UNITS_PER_PX * px)
 
 
 def _units(box: Box, x: Array, y: Array) -> tuple[Array, Array]:
     return UNITS_PER_PX * box.x(x), UNITS_PER_PX * box.y(y)
-
-
-def _stroke(d: str, colour: str, width_px: float, dashes_px: Sequence[float] = (), cap: str = "round") -> str:
-    """A stroked path, given in units."""
-    if not d:
-        return ""
-    joint = ' stroke-linecap="round" stroke-linejoin="round"' if cap == "round" else ""
-    dashes = f' stroke-dasharray="{" ".join(str(_unit(part)) for part in dashes_px)}"' if dashes_px else ""
-    return f'<path d="{d}" stroke="{escape(colour)}" stroke-width="{_unit(width_px)}"{joint}{dashes}/>'
-
-
-def _text(x: float, y: float, text: str, anchor: str, size_px: float = FONT_PX, colour: str = INK) -> str:
-    size = f' font-size="{size_px:.1f}"' if size_px != FONT_PX else ""
-    where = f' text-anchor="{anchor}"' if anchor != "start" else ""
-    return f'<text x="{x:.1f}" y="{y:.1f}" fill="{escape(colour)}"{where}{size}>{escape(text)}</text>'
-
-
-def _plate(x: float, base: float, text: str, size_px: float, colour: str) -> str:
-    """A rounded rectangle beneath a text that starts at x."""
-    pad = 0.2 * size_px
-    shape = (
-        f'x="{x - pad:.1f}" y="{base - ASCENT * size_px - pad:.1f}" '
-        f'width="{text_px(text, size_px) + 2 * pad:.1f}" height="{ASCENT * size_px + 2 * pad:.1f}" rx="{pad:.1f}"'
-    )
-    return f'<rect {shape} fill="{escape(colour)}"/>'
-
-
-def _legend(legend: Legend, box: Box) -> str:
-    left, upper = legend.corner(box)
-    parts = []
-    for k, handle in enumerate(legend.handles):
-        row, column = divmod(k, legend.columns)
-        x, y = left + column * legend.column_px, upper + (row + 0.5) * LEGEND_LINE_PX
-        middle = x + 0.5 * legend.handle_px
-        if handle.line_px:
-            parts.append(_sample(f"M{x:.1f} {y:.1f}h{legend.handle_px:.1f}", handle.colour, handle.line_px))
-        if handle.dot_px:
-            dot_px = legend.dot_scale * handle.dot_px
-            parts.append(_sample(f"M{middle:.1f} {y:.1f}h0", handle.colour, dot_px))
-        base = y + 0.5 * (ASCENT - DESCENT) * FONT_PX
-        parts.append(_text(x + legend.handle_px + PAD_PX, base, handle.text, "start"))
-    return "".join(parts)
-
-
-def _sample(d: str, colour: str, width_px: float) -> str:
-    return f'<path d="{d}" stroke="{escape(colour)}" stroke-width="{width_px:.1f}" stroke-linecap="round"/>'
-
-
-def _embedded(picture: NDArray[np.uint8], width_px: float) -> str:
-    """A picture as an attribute: JPEG as a data URL, with sharp pixels where they are magnified."""
-    columns = picture.shape[1]
-    if columns > PICTURE_DENSITY * width_px:
-        share = PICTURE_DENSITY * width_px / columns
-        size = max(1, round(columns * share)), max(1, round(picture.shape[0] * share))
-        picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
-    if picture.ndim == 3:
-        picture = np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), np.uint8)
-    data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
-    sharp = ' style="image-rendering:pixelated"' if columns < width_px else ""
-    return f'href="data:image/jpeg;base64,{base64.b64encode(data).decode("ascii")}"{sharp}'

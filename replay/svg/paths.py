@@ -24,7 +24,7 @@ def curve(x: Array, y: Array) -> str:
     known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
     if not len(known):
         return ""
-    run = np.cumsum(np.diff(known, prepend=known[0]) > 1)
+    run = np.cumsum(np.diff(known, prepend=known[0]) > 1, dtype=np.int64)
     points = _whole(x[known], y[known])
     kept = _outline(points, run)
     points, run = points[kept], run[kept]

@@ -18,7 +18,9 @@ from diethrow.replay.elements.colours import MEASURED, SIMULATED, hex_colour
 from diethrow.replay.elements.record import ReportDetails, motions_of, residuals
 from diethrow.replay.figures import throw_plots
 from diethrow.replay.figures.clip_frames import COLUMNS, bounce_strip, edges_on_frame, rows_of_strip, stroboscope
+from diethrow.replay.figures.kept_frames import KeptFrames
 from diethrow.replay.pages.captioned_figures import STATE_NAMES, fit_figures, report_figures, write_figures
+from diethrow.tracking.footage.clip import DerivedClip, Frame
 
 
 def axes() -> Axes:
@@ -116,22 +118,60 @@ def test_correlations_are_those_of_the_covariance() -> None:
 
 
 def test_the_multiple_exposure_shows_the_grey_levels_of_each_frame() -> None:
-    """Every exposure over the scene has the grey levels of its own frame, within the image."""
+    """Every exposure has the grey level of its own frame, later ones in front, over the median of all of them."""
     record = made.record()
     clip = record.clip
     assert clip is not None
     for k in range(len(clip)):
         clip.array[k] = k + 1  # type: ignore[attr-defined]
     ax = stroboscope(axes(), clip, made.camera(), made.die().solid, motions_of(record))
-    scene, *exposures = ax.images
-    levels = [np.unique(np.asarray(image.get_array())[..., 0]) for image in exposures]
-    assert len(exposures) > 2
-    assert all(len(level) == 1 for level in levels)
-    assert sorted(int(level[0]) for level in levels) == [int(level[0]) for level in levels]
-    left, right, bottom, top = exposures[0].get_extent()
-    assert -0.5 <= left < right <= clip.width_px - 0.5
-    assert -0.5 <= top < bottom <= clip.height_px - 0.5
-    assert np.asarray(scene.get_array()).shape == (clip.height_px, clip.width_px)
+    (shown,) = ax.images
+    picture = np.asarray(shown.get_array())
+    assert picture.shape == (clip.height_px, clip.width_px)
+    motion = motions_of(record)[0]
+    exposed = [k for k in np.unique(picture).tolist() if k - 1 + clip.first_frame in motion.frame]
+    assert len(exposed) > 2
+    assert np.isin(picture[0, 0], [np.median(exposed), int(np.median(exposed) + 0.5)])
+    for level in (exposed[0], exposed[-1]):
+        row = motion.frame.tolist().index(level - 1 + clip.first_frame)
+        x, y = np.rint(made.camera().project(motion.position_m[row : row + 1])[0]).astype(int)
+        assert level <= picture[y, x] <= exposed[-1]
+
+
+def test_a_later_die_covers_the_edges_of_earlier_ones() -> None:
+    """No edge of an exposure lies within the cut-out of a later one: its pixel has a grey level up to its own."""
+    record = made.record()
+    clip = record.clip
+    assert clip is not None
+    for k in range(len(clip)):
+        clip.array[k] = 2 * k + 2  # type: ignore[attr-defined]
+    whole = stroboscope(axes(), clip, made.camera(), made.die().solid, motions_of(record)[:1])
+    last = motions_of(record)[0]
+    picture, (line,) = np.asarray(whole.images[0].get_array()), whole.lines
+    x, y = np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)
+    assert np.isnan(x).any()
+    known = np.isfinite(x) & (x >= 0) & (x <= clip.width_px - 1) & (y >= 0) & (y <= clip.height_px - 1)
+    # The lines begin with those of the last exposure, which nothing covers.
+    newest = 2 * (int(last.frame[-1]) - clip.first_frame) + 2
+    levels = picture[np.rint(y[known]).astype(int), np.rint(x[known]).astype(int)]
+    end_of_newest = int(np.flatnonzero(levels != newest)[0])
+    assert end_of_newest > 10
+    assert (levels[end_of_newest:] == newest).sum() == 0
+
+
+def test_frames_that_another_figure_needs_are_read_on_the_way() -> None:
+    clip = made.coded_clip()
+    read: list[int] = []
+
+    class Counted(DerivedClip):
+        def frame(self, index: int) -> Frame:
+            read.append(index)
+            return super().frame(index)
+
+    kept = KeptFrames(Counted(clip), [3, 9, 12])
+    for index in (1, 10, 20, 3, 9, 12, 9):
+        np.testing.assert_array_equal(kept.frame(index), clip.frame(index))
+    assert read == [1, 3, 9, 10, 12, 20]
 
 
 def test_a_strip_has_the_frame_nearest_to_the_bounce_in_its_middle() -> None:
