@@ -18,7 +18,6 @@ from .ensembles import face_odds as face_odds
 from .ensembles import growth_curve as growth_curve
 from .ensembles import lowest_again as lowest_again
 from .ensembles import uncertain_shares as uncertain_shares
-from .kept_frames import KeptFrames as KeptFrames
 from .plot_axes import PlotAxes as PlotAxes
 from .throw_plots import angle_residuals as angle_residuals
 from .throw_plots import corner_heights as corner_heights

@@ -16,7 +16,6 @@ from ...tracking.footage import Clip
 from ..elements import Motion, Record, ReportDetails, motions_of, residuals
 from ..figures import (
     COLUMNS,
-    KeptFrames,
     angle_residuals,
     bounce_strip,
     corner_heights,
@@ -105,13 +104,11 @@ def clip_figures(record: Record) -> Iterator[CaptionedFigure]:
         return
     impacts = record.measured.bounces
     strip = rows_of_strip(clip, camera, solid, motions[0], impacts)
-    in_strip = [frame - clip.first_frame for _, frames in strip for frame in frames if frame is not None]
-    kept = KeptFrames(clip, in_strip)
     yield CaptionedFigure(
         "stroboscope",
         (NARROW, NARROW * clip.height_px / clip.width_px + 0.3),
         f"The whole throw in one picture: the die cut out of frames of the clip; {_edge_colours(motions)}.",
-        lambda ax: stroboscope(ax, kept, camera, solid, motions),
+        lambda ax: stroboscope(ax, clip, camera, solid, motions),
     )
     if strip:
         shown = strip[-1][0][-1] + 1
@@ -120,7 +117,7 @@ def clip_figures(record: Record) -> Iterator[CaptionedFigure]:
             "bounces",
             (WIDE, WIDE / COLUMNS * len(strip) + 0.3),
             f"{which}, frame by frame, with the time from the impact in milliseconds; {_edge_colours(motions)}.",
-            lambda ax: bounce_strip(ax, kept, camera, solid, motions, impacts),
+            lambda ax: bounce_strip(ax, clip, camera, solid, motions, impacts),
         )
 
 

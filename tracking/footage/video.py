@@ -151,7 +151,8 @@ class VideoClip(Footage):
 
     def _keep_on_the_way(self, number: int, decoded: av.VideoFrame) -> None:
         """Keep a frame that was decoded to reach a later one, where frames are kept: it will be asked for as well."""
-        if self.kept_frames is not None:
+        index = number - self.first_frame if self._kept is not None else -1
+        if 0 <= index < len(self) and not self._is_kept[index]:
             grey = self._upright(decoded)
             if grey.shape == (self.height_px, self.width_px):
                 self._keep(number, grey)

@@ -18,9 +18,7 @@ from diethrow.replay.elements.colours import MEASURED, SIMULATED, hex_colour
 from diethrow.replay.elements.record import ReportDetails, motions_of, residuals
 from diethrow.replay.figures import throw_plots
 from diethrow.replay.figures.clip_frames import COLUMNS, bounce_strip, edges_on_frame, rows_of_strip, stroboscope
-from diethrow.replay.figures.kept_frames import KeptFrames
 from diethrow.replay.pages.captioned_figures import STATE_NAMES, fit_figures, report_figures, write_figures
-from diethrow.tracking.footage.clip import DerivedClip, Frame
 
 
 def axes() -> Axes:
@@ -157,21 +155,6 @@ def test_a_later_die_covers_the_edges_of_earlier_ones() -> None:
     end_of_newest = int(np.flatnonzero(levels != newest)[0])
     assert end_of_newest > 10
     assert (levels[end_of_newest:] == newest).sum() == 0
-
-
-def test_frames_that_another_figure_needs_are_read_on_the_way() -> None:
-    clip = made.coded_clip()
-    read: list[int] = []
-
-    class Counted(DerivedClip):
-        def frame(self, index: int) -> Frame:
-            read.append(index)
-            return super().frame(index)
-
-    kept = KeptFrames(Counted(clip), [3, 9, 12])
-    for index in (1, 10, 20, 3, 9, 12, 9):
-        np.testing.assert_array_equal(kept.frame(index), clip.frame(index))
-    assert read == [1, 3, 9, 10, 12, 20]
 
 
 def test_a_strip_has_the_frame_nearest_to_the_bounce_in_its_middle() -> None:

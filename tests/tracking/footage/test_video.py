@@ -12,6 +12,7 @@ import pytest
 from footage_files import noisy_frames, with_display_matrix, write_video
 from numpy.typing import NDArray
 
+from diethrow.tracking.footage import video
 from diethrow.tracking.footage.clip import Clip, open_clip
 
 MJPEG_RANGE, VIDEO_RANGE = 2, 1
@@ -72,6 +73,21 @@ def test_a_whole_film_is_read_in_any_order_from_a_few_key_frames(tmp_path: Path)
     )
     for k in np.random.default_rng(3).permutation(120)[:40]:
         np.testing.assert_array_equal(clip.frame(int(k)), frames[k])
+
+
+def test_every_frame_of_a_short_film_becomes_a_picture_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also those that lie on the way to another; the caller may write into what it gets."""
+    path = tmp_path / "film.mp4"
+    frames = noisy_frames(24)
+    write_video(path, frames, codec="libx264", options={"qp": "0", "g": "8", "bf": "0"})
+    clip, decoded = open_clip(path, fps=1000.0, frame_range=(2, 24)), []
+    grey = video._grey
+    monkeypatch.setattr(video, "_grey", lambda *frame: decoded.append(1) or grey(*frame))
+    for k in (17, 3, 21, 16, 3, *range(22)):
+        picture = clip.frame(k)
+        np.testing.assert_array_equal(picture, frames[2 + k])
+        picture[:] = 0
+    assert len(decoded) == len(clip)
 
 
 def test_two_iterations_at_once_do_not_disturb_each_other(tmp_path: Path) -> None:
