@@ -112,9 +112,9 @@ class Footage(ABC):
         self._last: tuple[int, Frame] | None = None
         self._kept: Frame | None = None
         self._is_kept = np.zeros(stop - first, bool)
-        shape, dtype = (stop - first, height_px, width_px), np.uint8 if bit_depth <= 8 else np.uint16
-        if not self.in_any_order and int(np.prod(shape)) * np.dtype(dtype).itemsize <= KEPT_BYTES:
-            self._kept = np.zeros(shape, dtype)
+        shape, pixel_bytes = (stop - first, height_px, width_px), 1 if bit_depth <= 8 else 2
+        if not self.in_any_order and int(np.prod(shape)) * pixel_bytes <= KEPT_BYTES:
+            self._kept = np.zeros(shape, np.uint8) if pixel_bytes == 1 else np.zeros(shape, np.uint16)
 
     def __len__(self) -> int:
         return len(self.times_s)
