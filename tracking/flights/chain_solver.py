@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.compiled import compiled, inner
+from ...model.compiled import compiled, inner, inner_nogil
 from ..covariance import scaled_inverse
 
 Array = NDArray[np.float64]
@@ -82,14 +82,18 @@ class LinkResponses(NamedTuple):
         return LinkResponses(*(np.zeros((count, *shape)) for shape in shapes))
 
 
+@compiled(nogil=True)
 def solve_chain(normal: Array, gradient: Array, stages: Stages, damping: float) -> tuple[Array, Array]:
     """The changes of least cost: of the first state (d,), and of each link (N, MAX_LINK_SIZE).
 
     `normal` (N + 1, d, d) and `gradient` (N + 1, d) are those of the flights, `damping` is Levenberg's.
     """
     count, d = len(stages.sizes), normal.shape[1]
-    P, p = normal[-1].copy(), gradient[-1].copy()
-    responses = LinkResponses.empty(count, d)
+    P, p = normal[count].copy(), gradient[count].copy()
+    responses = LinkResponses(
+        np.zeros((count, MAX_LINK_SIZE, d)), np.zeros((count, MAX_LINK_SIZE)),
+        np.zeros((count, MAX_LINK_SIZE, MAX_LINK_SIZE)),
+    )  # fmt: skip
     _backward_pass(normal, gradient, stages, damping, P, p, responses)
     first, changes = np.zeros(d), np.zeros((count, MAX_LINK_SIZE))
     _forward_pass(P, p, stages, damping, responses, first, changes)
@@ -233,7 +237,7 @@ def _backward_pass(
                 P[b, a] = total
 
 
-@compiled(nogil=True)
+@inner_nogil
 def _forward_pass(
     P: Array, p: Array, stages: Stages, damping: float, responses: LinkResponses, first: Array, changes: Array
 ) -> None:

@@ -30,63 +30,45 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.engine.asymmetric import TorqueFree
 from ...model.throw import Flight, State
 from . import flight_kernels as kernels
-from .chain_solver import MAX_LINK_SIZE, Stages, chain_covariance, solve_chain
-from .flight_kernels import FrameInformation, ImpactEquations, VertexImpacts
+from .chain_solver import MAX_LINK_SIZE, Stages, chain_covariance
+from .descent import CONTACT_SIGMA_M as CONTACT_SIGMA_M
+from .descent import CUTOFF_SIGMAS as CUTOFF_SIGMAS
+from .descent import (
+    ChainData,
+    ChainTrajectory,
+    ChainValues,
+    chain_equations,
+    descend,
+    empty_trajectory,
+    robust_cost,
+)
+from .flight_kernels import ImpactEquations, VertexImpacts
 from .single_flights import (
     ErrorModel,
     WeightedPoses,
-    chain_residuals,
     frame_information,
     gradient_covariances,
     normal_equations,
     packed,
-    propagate_chain,
+    pose_arrays,
     spin_jumps,
-    spin_rates,
     transition_matrix,
     unpacked,
 )
 
 Array = NDArray[np.float64]
 
-CUTOFF_SIGMAS = 4.685
-"""Frames beyond this many sigmas (rms of the six numbers, in units of the error model) have no weight: Tukey's biweight."""
-MEDIAN_RMS = 0.944
-"""Median of the root mean square of six unit normals."""
-PRIOR_NUMBERS = 12.0
-"""Weight of the frames' stated sigmas, in numbers whose errors are as stated: a few frames do not overrule them."""
 TABLE_SIGMA_M = 3e-5
 """Prior standard deviation [m] of the table's height, common to all contacts: flatness and calibration."""
-CONTACT_SIGMA_M = 2e-5
-"""Standard deviation [m] of a single contact about that height: a stiff die of a few grams is indented by some 0.01 mm."""
 LEVER_SHARE = 0.01
 """Tolerance of Δω = m I⁻¹ (r × Δv) as a share of Δω: drilled pips change I by a per cent."""
 MIN_LEVER_SIGMA_RAD_S = 0.3
 """Least tolerance [rad/s] of the same: the contact is a patch of some 0.1 mm, not a point."""
-LARGEST_STEP = 1e5
-"""A step larger than this in any parameter (SI) leaves all that a die can do: its spin reaches some 1e3 rad/s."""
-DAMPING_TRIALS = 12
-"""Attempts, with ten times the damping each, to find a step that does not raise the cost."""
-FIRST_DAMPING = 1e-6
-"""Levenberg's damping at the first step."""
-LOOSE_STEPS = 3
-"""First steps, over which the cutoff is widened so that frames far off a first guess are drawn in."""
-LOOSE_FACTOR = 3.0
-"""Least factor on the cutoff over those steps."""
 LOST_SHARE = 0.25
 """A flight with a smaller share of its frames on it is lost: some frames lie on any motion by chance, as the first after an
 impact."""
-SLOW_RATE = 0.5
-"""Steps that shrink by a larger factor than this are extrapolated."""
-SLOWEST_RATE = 0.95
-"""Steps that shrink by a larger factor than this are not extrapolated: that would be more than twenty steps at once."""
-CONVERGED_COST = 1e-2
-"""Gain [squared sigmas] of a step below which the fit has converged."""
-CONVERGED_SHARE = 1e-4
-"""The same as a share of the cost; the smaller of both counts."""
 JOINT = 25
 """Size of a joint covariance: state before a link (12), state behind it (12), its instant."""
 
@@ -212,9 +194,6 @@ def fit_chain(
     return best.unknowns.finished(best.trajectory, best.weights)
 
 
-WHITE = ErrorModel.white()
-
-
 # --- the descent -------------------------------------------------------------------------------------------------------
 
 
@@ -223,7 +202,7 @@ class _Descent:
     """The result of a descent."""
 
     unknowns: _Unknowns
-    trajectory: _Trajectory
+    trajectory: ChainTrajectory
     weights: Array
 
     @property
@@ -239,73 +218,12 @@ class _Descent:
 
 
 def _descend(unknowns: _Unknowns, *, estimate_scale: bool, by_flight: bool, steps: int) -> _Descent:
-    """Step until no step gains any more.
-
-    A first guess may leave all frames far off; the cutoff is therefore widened over the first steps, by one factor for all frames
-    or flight by flight. The latter recovers a flight that begins so far off that it would be left without frames; but if another
-    contact lies within a flight, one factor for all frames does better."""
-    trajectory, damping, gains = unknowns.trajectory(), FIRST_DAMPING, [0.0]
-    for step in range(steps):
-        if estimate_scale:
-            scale = _scale(trajectory.squares(WHITE), unknowns.size)
-            unknowns = unknowns.with_errors(ErrorModel.white(scale))
-        squares = trajectory.squares(unknowns.errors)
-        cuts = trajectory.cuts if by_flight else np.array([0, len(squares)])
-        weights = _biweights(squares, _cutoff_factors(squares, cuts) if step < LOOSE_STEPS else np.ones(len(squares)))
-        cost = unknowns.cost(trajectory, weights)
-        normal, gradient, stages = unknowns.equations(trajectory, weights)
-        for _ in range(DAMPING_TRIALS):
-            first, changes = solve_chain(normal, gradient, stages, damping)
-            if max(np.abs(first).max(), np.abs(changes).max(initial=0.0)) < LARGEST_STEP:
-                trial = unknowns.stepped(first, changes)
-                trial_trajectory = trial.trajectory()
-                new = trial.cost(trial_trajectory, weights)
-                if new <= cost * (1.0 + 1e-12):
-                    break
-            damping = max(damping * 10.0, 1e-9)
-        else:
-            break
-        gains.append(cost - new)
-        if step > LOOSE_STEPS and (times := _remaining_steps(gains[-2:])) > 1.0:
-            further = unknowns.stepped(times * first, times * changes)
-            further_trajectory = further.trajectory()
-            if further.robust_cost(further_trajectory) < trial.robust_cost(trial_trajectory):
-                trial, trial_trajectory, gains = further, further_trajectory, [*gains, 0.0]
-        unknowns, trajectory, damping = trial, trial_trajectory, max(damping * 0.1, 1e-12)
-        if cost - new < min(CONVERGED_COST, CONVERGED_SHARE * cost) and step > LOOSE_STEPS:
-            break
-    return _Descent(unknowns, trajectory, weights)
-
-
-def _remaining_steps(gains: Sequence[float]) -> float:
-    """Sum of the steps still to come, in units of the last one, if each is shorter than the one before by one factor: frames near
-    the cutoff are drawn in or released little by little. 1 if the steps do not shrink that way."""
-    before, last = gains
-    # The gain of a step goes as its square.
-    rate = float(np.sqrt(last / before)) if 0.0 < last < before else 0.0
-    return 1.0 / (1.0 - rate) if SLOW_RATE < rate < SLOWEST_RATE else 1.0
-
-
-def _cutoff_factors(squares: Array, cuts: NDArray[np.int64]) -> Array:
-    """(n,) factor on each frame's cutoff over the first steps: as large as its group is off, and LOOSE_FACTOR at least."""
-    loose = np.full(len(squares), LOOSE_FACTOR)
-    for a, b in itertools.pairwise(cuts):
-        if b > a:
-            loose[a:b] = max(LOOSE_FACTOR, float(np.sqrt(np.median(squares[a:b]))) / MEDIAN_RMS)
-    return loose
-
-
-def _biweights(squares: Array, loose: Array) -> Array:
-    ratio = np.sqrt(squares) / (CUTOFF_SIGMAS * loose)
-    return np.asarray(np.where(ratio < 1.0, (1.0 - ratio**2) ** 2, 0.0))
-
-
-def _scale(squares: Array, parameters: int) -> float:
-    """σ from the median frame, corrected for the fitted parameters, and drawn to 1 if the frames are few."""
-    numbers = 6.0 * len(squares)
-    free = max(numbers - parameters, 0.0)
-    typical = float(np.median(squares)) / MEDIAN_RMS**2 * numbers / max(free, 6.0)
-    return float(np.sqrt(max((free * typical + PRIOR_NUMBERS) / (free + PRIOR_NUMBERS), 1e-24)))
+    """Step until no step gains any more (`descent.descend`)."""
+    values, trajectory = unknowns.copied_values(), unknowns.empty_trajectory()
+    variance, share, weights = unknowns.errors.variance, unknowns.share.copy(), np.ones(len(unknowns.observations))
+    descend(unknowns.data, values, trajectory, variance, share, estimate_scale, by_flight, steps, weights)
+    errors = ErrorModel.white(float(np.sqrt(variance[0]))) if estimate_scale else unknowns.errors
+    return _Descent(replace(unknowns, values=values, errors=errors, share=share), trajectory, weights)
 
 
 # --- impacts at a vertex -----------------------------------------------------------------------------------------------
@@ -366,51 +284,14 @@ def _impact_equations(
 
 
 @dataclass(frozen=True, eq=False)
-class _Trajectory:
-    """The motion that the unknowns give, and the residuals of the frames about it."""
-
-    cuts: NDArray[np.int64]
-    """(flights + 1,) rows of each flight."""
-    states: Array
-    """(flights, 14) packed, at the beginning of each."""
-    ends: Array
-    """(N, 14) at the instants of the links."""
-    transitions: Array
-    """(N, 12, 12) from beginning to end."""
-    residuals: Array
-    """(n, 6) whitened."""
-    impacts: ImpactEquations
-
-    def squares(self, errors: ErrorModel) -> Array:
-        """(n,) mean of each frame's six squared whitened residuals, each over its expected one."""
-        return np.asarray(self.residuals**2 @ (1.0 / errors.variance) / 6.0)
-
-
-@dataclass(frozen=True, eq=False)
 class _Unknowns:
     """The parameters of a chain: the first state, for each link either (t, Δv, Δω) or a free state, the errors that all frames
     share, and the height of the table if there is an impact on it; with the data that they are fitted to."""
 
     observations: WeightedPoses
-    spacing_s: float
-    """Usual time between frames."""
-    first: Array
-    """(14,) packed."""
     links: tuple[Link, ...]
-    times_s: Array
-    """(N,) instants of the links."""
-    jumps: Array
-    """(N, 6) Δv, Δω at joined links."""
-    is_open: NDArray[np.bool_]
-    free: Array
-    """(N, 14) packed states behind open links."""
-    vertex_impacts: VertexImpacts
-    constants: Array
-    """(c,) parameters that all flights share: the shared errors, and behind them the table's height [m] if there is an impact."""
-    constant_sigma: Array
-    """(c,) their prior standard deviations."""
-    lever_sigma: Array
-    """(N,) tolerance [rad/s] of each impact's spin; fixed by the guess, so that the cost means the same on every step."""
+    values: ChainValues
+    data: ChainData
     errors: ErrorModel
     share: Array
     """(6,) weights of the whitened numbers.
@@ -418,10 +299,6 @@ class _Unknowns:
     Frames are weighted as if independent, with the long-run variance of their errors. For a smooth motion that loses next to
     nothing against generalised least squares (Grenander & Rosenblatt, Statistical Analysis of Stationary Time Series, 1957,
     ch. 7), and it depends less on the error model."""
-    information: FrameInformation
-    """`single_flights.frame_information` with the error model of the guess."""
-    information_share: float
-    """Share of the first whitened number in it."""
 
     @staticmethod
     def from_guess(
@@ -432,158 +309,100 @@ class _Unknowns:
         errors: ErrorModel,
         table_sigma_m: float,
     ) -> _Unknowns:
-        """The unknowns at initial states of the flights, arguments as `fit_chain`."""
-        numbers, times_s = np.array([packed(start) for start in starts]), np.array([link.time_s for link in links])
+        """The unknowns at initial states of the flights, arguments as `fit_chain`. The tolerance of each impact's spin is fixed
+        by the guess, so that the cost means the same on every step."""
+        numbers = np.array([packed(start) for start in starts])
+        times_s = np.array([link.time_s for link in links], np.float64)
         fallen = np.diff(numbers[:, 0])[:, None] * np.array([0.0, 0.0, observations.gravity_m_s2])
         # Both sides of a link fall alike: only the difference between their times of fall remains.
         spun = spin_jumps(observations, starts, times_s)
         jumps = np.hstack([np.diff(numbers[:, 8:11], axis=0) + fallen, spun])
         spacing_s = float(np.median(np.diff(observations.time_s))) if len(observations) > 1 else 1.0
-        is_open = np.array([link.is_open for link in links], bool)
+        is_open = np.array([link.is_open for link in links], np.bool_)
         share = 1.0 / errors.long_run_variance(spacing_s)
         impacts = _vertex_impacts(links)
         # The table's height is a parameter if any link is a vertex impact.
         constant_sigma = np.append(shared_sigma, table_sigma_m) if len(impacts.link) else shared_sigma
-        return _Unknowns(
-            observations, spacing_s, numbers[0], links, times_s, jumps, is_open, numbers[1:],
-            impacts, np.zeros(len(constant_sigma)), constant_sigma, _lever_sigma(jumps),
-            errors, share, frame_information(observations, share), float(share[0]),
+        size = 12 + sum(link.size for link in links) + len(constant_sigma)
+        data = ChainData(
+            pose_arrays(observations), frame_information(observations, share), float(share[0]), is_open, impacts,
+            np.ascontiguousarray(constant_sigma, np.float64), _lever_sigma(jumps), spacing_s, size,
         )  # fmt: skip
-
-    def with_errors(self, errors: ErrorModel) -> _Unknowns:
-        """The same with another error model."""
-        return replace(self, errors=errors, share=1.0 / errors.long_run_variance(self.spacing_s))
+        values = ChainValues(numbers[0].copy(), times_s, jumps, numbers[1:].copy(), np.zeros(len(constant_sigma)))
+        return _Unknowns(observations, links, values, data, errors, share)
 
     @property
     def has_impacts(self) -> bool:
         """Whether any link is a vertex impact."""
-        return len(self.vertex_impacts.link) > 0
+        return len(self.data.impacts.link) > 0
 
     @property
     def shared(self) -> Array:
         """(m,) the shared errors."""
-        return self.constants[: len(self.constants) - self.has_impacts]
+        return self.values.constants[: len(self.values.constants) - self.has_impacts]
 
     @property
     def table_m(self) -> float:
         """Height of the table; 0 without an impact on it."""
-        return float(self.constants[-1]) if self.has_impacts else 0.0
+        return float(self.values.constants[-1]) if self.has_impacts else 0.0
 
-    @property
-    def size(self) -> int:
-        """Number of parameters."""
-        return 12 + sum(link.size for link in self.links) + len(self.constants)
+    def copied_values(self) -> ChainValues:
+        """The values in arrays of their own."""
+        return ChainValues(*(each.copy() for each in self.values))
 
-    def trajectory(self) -> _Trajectory:
-        """The motion at the present values."""
-        states, ends, transitions = propagate_chain(
-            self.observations, self.first, self.times_s, self.jumps, self.is_open, self.free
-        )
-        inside = np.searchsorted(self.observations.time_s, self.times_s, side="right")
-        cuts = np.concatenate([[0], inside, [len(self.observations)]]).astype(np.int64)
-        residuals = chain_residuals(self.observations, cuts, states, self.shared)
-        impacts = _impact_equations(ends, self.jumps, self.vertex_impacts, self.table_m, self.lever_sigma)
-        return _Trajectory(cuts, states, ends, transitions, residuals, impacts)
+    def empty_trajectory(self) -> ChainTrajectory:
+        """Room for the motion."""
+        return empty_trajectory(len(self.observations), len(self.links), len(self.data.impacts.link))
 
-    def _cost_of_priors_and_impacts(self, trajectory: _Trajectory) -> float:
-        """Squared sigmas of priors and impacts."""
-        return float(((self.constants / self.constant_sigma) ** 2).sum() + (trajectory.impacts.violation**2).sum())
+    def robust_cost(self, trajectory: ChainTrajectory) -> float:
+        """`descent.robust_cost`."""
+        return float(robust_cost(self.data, self.values, trajectory, self.errors.variance, self.share))
 
-    def cost(self, trajectory: _Trajectory, weights: Array) -> float:
-        """Sum of weighted squared sigmas of frames, priors and impacts."""
-        frames = float(weights @ (trajectory.residuals**2 @ self.share))
-        return frames + self._cost_of_priors_and_impacts(trajectory)
-
-    def robust_cost(self, trajectory: _Trajectory) -> float:
-        """The same with Tukey's loss for frames (`FlightChain.cost`). What lies beyond the cutoff counts in full: errors that
-        stay for many frames, for which the others count less, explain no such frame."""
-        ratio = np.minimum(np.sqrt(trajectory.squares(self.errors)) / CUTOFF_SIGMAS, 1.0)
-        share = np.where(ratio < 1.0, float(np.mean(self.errors.variance * self.share)), 1.0)
-        frames = float((share * 2.0 * CUTOFF_SIGMAS**2 * (1.0 - (1.0 - ratio**2) ** 3)).sum())
-        return self._cost_of_priors_and_impacts(trajectory) + frames
-
-    def equations(self, trajectory: _Trajectory, weights: Array) -> tuple[Array, Array, Stages]:
+    def equations(self, trajectory: ChainTrajectory, weights: Array) -> tuple[Array, Array, Stages]:
         """Normal equations of the flights, the priors included in those of the first, and the links between."""
-        size = 12 + len(self.constants)
-        normal, gradient = self._normal_equations(trajectory, weights, size)
-        information, constants = self.constant_sigma**-2, np.arange(12, size)
-        normal[0, constants, constants] += information
-        gradient[0, 12:] += self.constants * information
-        return normal, gradient, self._stages(trajectory, size)
+        count, size = len(self.links), 12 + len(self.values.constants)
+        normal, gradient = np.zeros((count + 1, size, size)), np.zeros((count + 1, size))
+        stages = Stages.empty(count, size)
+        chain_equations(self.data, self.values, trajectory, weights, self.share, normal, gradient, stages)
+        return normal, gradient, stages
 
-    def _normal_equations(self, trajectory: _Trajectory, weights: Array, size: int) -> tuple[Array, Array]:
-        """Of the frames alone. An error model that is estimated on the way is white: all shares change by one factor."""
-        change = float(self.share[0]) / self.information_share
+    def _normal_equations(self, trajectory: ChainTrajectory, weights: Array, size: int) -> Array:
+        """Normal matrices of the frames alone."""
+        change = float(self.share[0]) / self.data.information_share
         return normal_equations(
-            self.observations, trajectory.cuts, trajectory.states, trajectory.residuals, change * weights,
-            self.information, size,
-        )  # fmt: skip
+            self.observations, trajectory.cuts, trajectory.motion.states, trajectory.residual, change * weights,
+            self.data.information, size,
+        )[0]  # fmt: skip
 
-    def _stages(self, trajectory: _Trajectory, size: int) -> Stages:
-        """The links as `chain_solver` needs them."""
-        stages, impacts = Stages.empty(len(self.links), size), trajectory.impacts
-        struck = self.vertex_impacts.link
-        stages.sizes[:] = np.where(self.is_open, 12, 7)
-        constants = np.arange(12, size)
-        stages.by_state[:, constants, constants] = 1.0
-        stages.by_state[:, :12, :12] = np.where(self.is_open[:, None, None], 0.0, trajectory.transitions)
-        # The velocity at the link changes with its instant only through gravity, which both sides share, and the spin only of a
-        # body with several moments of inertia.
-        stages.by_link[:, 0:6, 0] = -self.jumps
-        stages.by_link[:, 9:12, 0] = self._spin_drift(trajectory)
-        stages.by_link[:, np.arange(6, 12), np.arange(1, 7)] = 1.0
-        stages.by_link[self.is_open] = np.eye(size, MAX_LINK_SIZE)
-        stages.impact_by_state[struck, :, :12] = impacts.by_end @ trajectory.transitions[struck]
-        stages.impact_by_state[struck, 0, size - 1] -= 1.0 / CONTACT_SIGMA_M
-        stages.impact_by_link[struck] = impacts.by_link
-        stages.violation[struck] = impacts.violation
-        return stages
-
-    def _spin_drift(self, trajectory: _Trajectory) -> Array:
-        """(N, 3) [rad/s²] by how much the spin changes faster before each link than behind it; 0 for a spherical top."""
-        turning = self.observations.turning
-        if not isinstance(turning, TorqueFree):
-            return np.zeros((len(self.links), 3))
-        return spin_rates(turning, trajectory.ends) - spin_rates(turning, trajectory.states[1:])
-
-    def stepped(self, first: Array, changes: Array) -> _Unknowns:
-        """The unknowns after a step; links keep their order and move by half a frame at most."""
-        start, times_s, jumps, free = self.first.copy(), self.times_s.copy(), self.jumps.copy(), self.free.copy()
-        kernels.apply_step(start, times_s, jumps, self.is_open, free, first[:12], changes, 0.5 * self.spacing_s)
-        for k in range(1, len(times_s)):
-            times_s[k] = max(times_s[k], times_s[k - 1] + 1e-6 * self.spacing_s)
-        return replace(
-            self, first=start, times_s=times_s, jumps=jumps, free=free, constants=self.constants + first[12:]
-        )
-
-    def finished(self, trajectory: _Trajectory, weights: Array) -> FlightChain:
+    def finished(self, trajectory: ChainTrajectory, weights: Array) -> FlightChain:
         """The fitted chain, with covariances."""
         normal, _, stages = self.equations(trajectory, weights)
         noise = self._gradient_covariances(trajectory, weights, normal)
         last, pairs = chain_covariance(normal, noise, stages)
         size, count = len(last), len(self.links)
         joint_covariance, sigma_time_s = np.full((count, JOINT, JOINT), np.nan), np.full(count, np.nan)
-        for k in np.flatnonzero(~self.is_open).tolist():
+        for k in np.flatnonzero(~self.data.is_open).tolist():
             to_joint = np.zeros((JOINT, size + MAX_LINK_SIZE))
-            to_joint[:12, :12] = trajectory.transitions[k]
+            to_joint[:12, :12] = trajectory.motion.transitions[k]
             to_joint[12:24] = np.hstack([stages.by_state[k], stages.by_link[k]])[:12]
             to_joint[24, size] = 1.0
             joint_covariance[k] = to_joint @ pairs[k] @ to_joint.T
             sigma_time_s[k] = np.sqrt(max(joint_covariance[k, 24, 24], 0.0))
         covariances = [(pairs[k] if k < count else last)[:12, :12] for k in range(count + 1)]
-        squares, impact_chi2 = trajectory.squares(self.errors), np.zeros(count)
-        impact_chi2[self.vertex_impacts.link] = (trajectory.impacts.violation**2).sum(1)
-        links = tuple(replace(link, time_s=float(t)) for link, t in zip(self.links, self.times_s, strict=True))
+        squares = trajectory.residual**2 @ (1.0 / self.errors.variance) / 6.0
+        impact_chi2 = np.zeros(count)
+        impact_chi2[self.data.impacts.link] = (trajectory.impacts.violation**2).sum(1)
+        links = tuple(replace(link, time_s=float(t)) for link, t in zip(self.links, self.values.times_s, strict=True))
         shared = slice(12, 12 + len(self.shared))
         return FlightChain(
-            self._flights(trajectory.states, covariances), links, sigma_time_s, joint_covariance, np.sqrt(squares), weights,
-            self.errors, self.shared, last[shared, shared], impact_chi2, self.table_m, self.robust_cost(trajectory),
+            self._flights(trajectory.motion.states, covariances), links, sigma_time_s, joint_covariance, np.sqrt(squares),
+            weights, self.errors, self.shared, last[shared, shared], impact_chi2, self.table_m, self.robust_cost(trajectory),
         )  # fmt: skip
 
     def _flights(self, states: Array, covariances: Sequence[Array]) -> tuple[Flight, ...]:
         """The flights from packed states (flights, 14), each stated at its own beginning."""
-        begins = np.append(self.observations.time_s[0], self.times_s)
-        ends = np.append(self.times_s, self.observations.time_s[-1])
+        begins = np.append(self.observations.time_s[0], self.values.times_s)
+        ends = np.append(self.values.times_s, self.observations.time_s[-1])
         flights = []
         for k, numbers in enumerate(states):
             state, C = unpacked(numbers), covariances[k]
@@ -596,11 +415,11 @@ class _Unknowns:
             flights.append(replace(flight, end_s=float(ends[k]), covariance=(C + C.T) / 2.0))
         return tuple(flights)
 
-    def _gradient_covariances(self, trajectory: _Trajectory, weights: Array, normal: Array) -> Array:
+    def _gradient_covariances(self, trajectory: ChainTrajectory, weights: Array, normal: Array) -> Array:
         """Covariances of the flights' gradients under the error model; `normal` contains them as weighted."""
         size = normal.shape[1]
-        stated, _ = self._normal_equations(trajectory, weights, size)
+        stated = self._normal_equations(trajectory, weights, size)
         if self.errors.variance_ratio.any():
-            parts = (self.observations, trajectory.cuts, trajectory.states, weights)
+            parts = (self.observations, trajectory.cuts, trajectory.motion.states, weights)
             return normal - stated + gradient_covariances(*parts, self.share, self.errors, size)
-        return normal - stated + self._normal_equations(trajectory, weights**2, size)[0]
+        return normal - stated + self._normal_equations(trajectory, weights**2, size)

@@ -305,6 +305,12 @@ def _propagate_state(state: Array, time: float, gravity: float, turning: Any, ou
 
 
 @compiled(nogil=True)
+def empty_motion(links: int) -> ChainMotion:
+    """Room for the motion of a chain with so many links."""
+    return ChainMotion(np.zeros((links + 1, 14)), np.zeros((links, 14)), np.zeros((links, 12, 12)))
+
+
+@compiled(nogil=True)
 def propagate(
     first: Array, times_s: Array, jumps: Array, is_open: NDArray[np.bool_], free: Array, gravity: float, turning: Any,
     out: ChainMotion,

@@ -30,7 +30,7 @@ from ...model.throw import EVEN, Flight, State, Turning, turns_in_flight
 from ...model.world import GRAVITY_M_S2
 from ..covariance import SINGULAR_EIGENVALUE
 from . import flight_kernels as kernels
-from .flight_kernels import ChainMotion, FrameInformation, PoseArrays
+from .flight_kernels import FrameInformation, PoseArrays
 
 Array = NDArray[np.float64]
 
@@ -141,7 +141,7 @@ def chain_residuals(observations: WeightedPoses, cuts: NDArray[np.int64], states
 
     Rows cuts[k] to cuts[k + 1] belong to the packed state (14,) `states[k]`."""
     residuals = np.empty((len(observations), 6))
-    kernels.residuals(_arrays(observations), shared, cuts, states, residuals)
+    kernels.residuals(pose_arrays(observations), shared, cuts, states, residuals)
     return residuals
 
 
@@ -149,7 +149,7 @@ def frame_information(observations: WeightedPoses, share: Array) -> FrameInforma
     """Information of each frame on its pose and the shared errors. The six whitened numbers count with their `share` (6,)."""
     n, own = len(observations), 6 + observations.bias_jacobian.shape[2]
     information = FrameInformation(np.empty((n, own, own)), np.empty((n, own, 6)))
-    kernels.frame_information(_arrays(observations), share, information)
+    kernels.frame_information(pose_arrays(observations), share, information)
     return information
 
 
@@ -168,7 +168,7 @@ def normal_equations(
     The unknowns are the twelve numbers of the state, then the m shared errors; entries beyond 12 + m stay zero. Frames count with
     their weight (n,); `information` is that of `frame_information`."""
     normal, gradient = np.zeros((len(states), size, size)), np.zeros((len(states), size))
-    kernels.normal_equations(_arrays(observations), information, residuals, weights, cuts, states, normal, gradient)
+    kernels.normal_equations(pose_arrays(observations), information, residuals, weights, cuts, states, normal, gradient)
     return normal, gradient
 
 
@@ -188,24 +188,10 @@ def gradient_covariances(
     for rows, state, covariance in zip(itertools.pairwise(cuts), states, covariances, strict=True):
         part = observations.rows(slice(*rows))
         kernels.gradient_covariance(
-            _arrays(part), weights[slice(*rows)], strength, state, errors.variance_ratio, errors.correlation_time_s,
+            pose_arrays(part), weights[slice(*rows)], strength, state, errors.variance_ratio, errors.correlation_time_s,
             covariance,
         )  # fmt: skip
     return covariances
-
-
-def propagate_chain(
-    observations: WeightedPoses, first: Array, times_s: Array, jumps: Array, is_open: NDArray[np.bool_], free: Array
-) -> ChainMotion:
-    """The motion of a chain of N + 1 flights of the die that is observed.
-
-    The chain goes on from `first` (14,) over `jumps` (N, 6) of velocity and spin at `times_s` (N,), or with the state `free` (N,
-    14) where a link is open."""
-    n = len(times_s)
-    motion = ChainMotion(np.empty((n + 1, 14)), np.empty((n, 14)), np.zeros((n, 12, 12)))
-    fall = observations.gravity_m_s2, observations.turning
-    kernels.propagate(first, times_s, jumps, is_open, free, *fall, motion)
-    return motion
 
 
 # --- single flights ----------------------------------------------------------------------------------------------------
@@ -242,7 +228,7 @@ def fit_states(observations: WeightedPoses, groups: Sequence[NDArray[np.int64]])
 def _fitted(observations: WeightedPoses, ends: NDArray[np.int64]) -> tuple[Array, Array, Array]:
     """States (g, 14), covariances (g, 12, 12) and sums of squares (g,) of groups of frames that lie one after the other."""
     states, inverses, chi2 = np.empty((len(ends) - 1, 14)), np.empty((len(ends) - 1, 12, 12)), np.empty(len(ends) - 1)
-    kernels.fit_flights(_arrays(observations), ends, states, inverses, chi2)
+    kernels.fit_flights(pose_arrays(observations), ends, states, inverses, chi2)
     return states, inverses, chi2
 
 
@@ -351,7 +337,7 @@ def _whiteners(C: Array) -> Array:
     return np.ascontiguousarray(root / unit)
 
 
-def _arrays(observations: WeightedPoses) -> PoseArrays:
+def pose_arrays(observations: WeightedPoses) -> PoseArrays:
     """The contiguous arrays that the kernels take."""
     return PoseArrays(
         np.ascontiguousarray(observations.time_s, np.float64),

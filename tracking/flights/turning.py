@@ -118,6 +118,23 @@ def _free_mean_omega(turning: TorqueFree, times: Array, quaternions: Array, midd
     return omega_of_momentum(turning, quaternions[middle], x, y, z)
 
 
+@inner
+def _even_spin_rate(turning: EvenTurning, state: Array) -> tuple[float, float, float]:
+    return 0.0, 0.0, 0.0
+
+
+@inner
+def _free_spin_rate(turning: TorqueFree, state: Array) -> tuple[float, float, float]:
+    """K⁻¹ (K ω × ω), in the principal axes and back."""
+    q, moments = turning.axes, turning.moments
+    w, x, y, z = quaternion_product(state[4], state[5], state[6], state[7], q[0], q[1], q[2], q[3])
+    wx, wy, wz = _turned(w, -x, -y, -z, state[11], state[12], state[13])
+    a = (moments[1] - moments[2]) * wy * wz / moments[0]
+    b = (moments[2] - moments[0]) * wz * wx / moments[1]
+    c = (moments[0] - moments[1]) * wx * wy / moments[2]
+    return _turned(w, x, y, z, a, b, c)
+
+
 def begin(turning: Turning, state: Array) -> Any:
     """What is carried through a flight from a packed state (14,) on."""
     return _begin_free(turning, state) if isinstance(turning, TorqueFree) else _begin_even(turning, state)
@@ -151,6 +168,11 @@ def mean_omega(turning: Turning, times: Array, quaternions: Array, middle: int) 
     return _even_mean_omega(turning, times, quaternions, middle)
 
 
+def spin_rate_of(turning: Turning, state: Array) -> tuple[float, float, float]:
+    """ω̇ [rad/s²] of a packed state (14,), world axes; 0 for a spherical top."""
+    return _free_spin_rate(turning, state) if isinstance(turning, TorqueFree) else _even_spin_rate(turning, state)
+
+
 @overload(begin, strict=False)
 def _begin_of(turning: Any, state: Any) -> Any:
     return (_begin_free if turning.instance_class is TorqueFree else _begin_even).py_func
@@ -176,7 +198,19 @@ def _mean_omega_of(turning: Any, times: Any, quaternions: Any, middle: Any) -> A
     return (_free_mean_omega if turning.instance_class is TorqueFree else _even_mean_omega).py_func
 
 
+@overload(spin_rate_of, strict=False)
+def _spin_rate_of(turning: Any, state: Any) -> Any:
+    return (_free_spin_rate if turning.instance_class is TorqueFree else _even_spin_rate).py_func
+
+
 # --- rotations ---
+
+
+@inner
+def _turned(w: float, x: float, y: float, z: float, vx: float, vy: float, vz: float) -> tuple[float, float, float]:
+    """A vector turned by a unit quaternion: v + 2 w (q × v) + 2 q × (q × v)."""
+    tx, ty, tz = 2.0 * (y * vz - z * vy), 2.0 * (z * vx - x * vz), 2.0 * (x * vy - y * vx)
+    return vx + w * tx + y * tz - z * ty, vy + w * ty + z * tx - x * tz, vz + w * tz + x * ty - y * tx
 
 
 @inner

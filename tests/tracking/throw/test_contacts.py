@@ -26,6 +26,7 @@ from diethrow.model.rotations import (
 )
 from diethrow.model.throw.motion import Flight, State, Throw, turning_of
 from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.model.world import GRAVITY_M_S2
 from diethrow.tracking.flights.flight_chain import (
     LEVER_SHARE,
     MIN_LEVER_SIGMA_RAD_S,
@@ -37,12 +38,12 @@ from diethrow.tracking.flights.flight_chain import (
     vertex_impact_cost,
     vertex_impact_equations,
 )
+from diethrow.tracking.flights.flight_kernels import empty_motion, propagate
 from diethrow.tracking.flights.single_flights import (
     ErrorModel,
     WeightedPoses,
     packed,
     perturbed,
-    propagate_chain,
     transition_matrix,
     unpacked,
 )
@@ -168,12 +169,10 @@ def test_a_propagated_state_is_that_of_its_flight(die: Die) -> None:
         0.2, rng.normal(size=3), quat_from_rotvec([0.3, -1.0, 0.4]), rng.normal(size=3), 90 * rng.normal(size=3)
     )
     none, closed, turning = np.zeros((1, 6)), np.zeros(1, bool), turning_of(die)
-    poses = np.zeros((1, 3)), np.eye(4)[:1], np.eye(6)[None]
-    observed = WeightedPoses.from_poses(np.zeros(1), *poses, turning=turning)
     for after in (-0.01, 0.0, 1e-7, 0.03):
-        _, ends, transitions = propagate_chain(
-            observed, packed(state), np.array([0.2 + after]), none, closed, np.zeros((1, 14))
-        )
+        chain, motion = (packed(state), np.array([0.2 + after]), none, closed, np.zeros((1, 14))), empty_motion(1)
+        propagate(*chain, GRAVITY_M_S2, turning, motion)
+        _, ends, transitions = motion
         there, flight = unpacked(ends[0]), Flight(state, np.inf, turning=turning)
         wanted = flight.at(0.2 + after)
         for name in ("position_m", "quaternion", "velocity_m_s", "omega_rad_s"):
