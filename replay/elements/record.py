@@ -186,8 +186,8 @@ def residuals(track: Track, simulated: Track) -> Residuals:
 def _whitened_rms(errors: Array, covariances: Array) -> Array:
     """Root mean square (n,) of errors (n, 6) whitened by covariances (n, 6, 6); NaN where a covariance has no inverse."""
     rms = np.full(len(errors), np.nan)
-    for k, (error, covariance) in enumerate(zip(errors, covariances, strict=True)):
-        if not np.isfinite(covariance).all() or np.linalg.matrix_rank(covariance, hermitian=True) < 6:
-            continue
-        rms[k] = np.sqrt(max(float(error @ np.linalg.solve(covariance, error)), 0.0) / 6.0)
+    known = np.flatnonzero(np.isfinite(covariances).all((1, 2)))
+    known = known[np.linalg.matrix_rank(covariances[known], hermitian=True) == 6]
+    weighted = np.linalg.solve(covariances[known], errors[known, :, None])[..., 0]
+    rms[known] = np.sqrt(np.maximum(np.einsum("ni,ni->n", errors[known], weighted), 0.0) / 6.0)
     return rms

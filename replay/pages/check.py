@@ -82,8 +82,10 @@ def _frames(part: TrackedPart, clip: Clip, camera: Camera, die: Die) -> str:
         ax.set_ylabel("")
         ax.set_xticks([])
         ax.set_yticks([])
+        ax.spines[:].set_visible(False)
         pictures.append(ax.svg(f"frame {frame}"))
-    return captioned("".join(pictures), "Frames of the clip with the measured edges of the die.")
+    row = f'<div class="row">{"".join(pictures)}</div>'
+    return captioned(row, "Frames of the clip with the measured edges of the die.")
 
 
 def _heights(part: TrackedPart, die: Die) -> str:

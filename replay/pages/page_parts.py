@@ -29,6 +29,7 @@ p { margin: .5rem 0; max-width: 42rem; }
 .headline { font-family: system-ui, Helvetica, Arial, "DejaVu Sans", sans-serif; font-size: 1.25rem; font-weight: 600; }
 figure { margin: 1.2rem 0; break-inside: avoid; }
 .wide > img, .wide > svg { display: block; width: 100%; height: auto; }
+.row { display: flex; gap: .5rem; } .row > svg { flex: 1; min-width: 0; }
 svg { font-family: system-ui, "Segoe UI", Helvetica, Arial, "DejaVu Sans", sans-serif; }
 figure.narrow { max-width: 30rem; }
 figcaption { color: var(--soft); font-size: .85rem; line-height: 1.4; margin-top: .4rem; }
@@ -48,7 +49,7 @@ li { margin: .3rem 0; }
 table.facts td { overflow-wrap: anywhere; } table.facts td:first-child { color: var(--soft); width: 9rem; }
 .hash { min-width: 15rem; font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: .78rem; overflow-wrap: anywhere; }
 @media (max-width: 40rem) { body { padding-top: 1.2rem; } h1 { font-size: 1.4rem; }
-  figure:not(.narrow) .wide > :is(img, svg) { width: 40rem; max-width: none; }
+  figure:not(.narrow) .wide > :is(img, svg, .row) { width: 40rem; max-width: none; }
   .wide > table:not(.facts, .matrix) { min-width: 34rem; } }
 @media print { @page { margin: 16mm 15mm; } body { max-width: none; padding: 0; font-size: 10pt; }
   * { print-color-adjust: exact; -webkit-print-color-adjust: exact; } .screen { display: none; }

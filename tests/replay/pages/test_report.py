@@ -18,6 +18,7 @@ from diethrow.replay.elements import findings_text
 from diethrow.replay.elements.record import ReportDetails
 from diethrow.replay.pages.report import report_page, write_report
 from diethrow.tracking.check.verdicts import Finding, Verdict
+from diethrow.tracking.track import TRACKED, Track
 
 HOSTILE = "<script>alert(1)</script> \" onload='x' & <img src=http://example.org/x>"
 
@@ -187,6 +188,22 @@ def test_a_bounce_without_known_velocities_is_a_row_without_numbers() -> None:
 def test_the_same_record_gives_the_same_page(tmp_path: Path, whole: str) -> None:
     write_report(tmp_path / "report.html", made.record())
     assert (tmp_path / "report.html").read_text(encoding="utf-8") == whole
+
+
+def test_the_page_of_a_long_clip_stays_small() -> None:
+    """20 000 frames, each with a residual, in under 2 MB: points that would cover each other are left out."""
+    count, rng = 20_000, np.random.default_rng(3)
+    throw = made.throw()
+    times = np.linspace(throw.flights[0].start.time_s, throw.flights[-1].end_s, count)
+    positions, quaternions = throw.poses(times)
+    frames, status = np.arange(count), np.full(count, TRACKED)
+    covariance = np.broadcast_to(np.diag([1e-5**2] * 3 + [1e-3**2] * 3), (count, 6, 6))
+    noisy = positions + rng.normal(0.0, 1e-5, positions.shape)
+    tilted = made.turned(quaternions, rng.normal(0.0, 1e-3, 3))
+    track = Track(frames, times, noisy, tilted, covariance, status)
+    model = Track(frames, times, positions, quaternions, covariance, status)
+    page = report_page(made.record(track=track, simulated=model, clip=None, camera=None))
+    assert 2e5 < len(page.encode()) < 2e6
 
 
 @pytest.mark.parametrize(
