@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 
-from matplotlib.figure import Figure
 
 from ...files.analysis_folder import read_analysis
 from ...files.outputs import whole_file
@@ -220,6 +219,8 @@ def _draw(place: Path, picture: Path) -> None:
     clip, camera = clip_of_analysis(found), found.record.camera
     if clip is None or camera is None or not found.track.tracked.any():
         return
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(2.4, 2.4 * clip.height_px / clip.width_px), dpi=100)
     ax = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     stroboscope(ax, clip, camera, found.record.die.solid, motions_of(found.record))
