@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-
 from ...files.outputs import OutputExistsError, whole_file
 from ...files.scene import read_scene
 from ...model.die import SHAPES, Solid
@@ -327,9 +326,9 @@ def _scaled(thousandths: float | None) -> float | None:
 
 def _draw(path: Path, clip: Clip, camera: Camera, solid: Solid, motion: Motion) -> None:
     """The first frame with a pose, and the edges of the die found in it."""
-    width = 6.0
     from matplotlib.figure import Figure
 
+    width = 6.0
     figure = Figure(figsize=(width, width * clip.height_px / clip.width_px), dpi=160)
     ax = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     edges_on_frame(ax, clip, camera, solid, [motion], int(motion.frame[0]))

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 
-
 from ...files.analysis_folder import read_analysis
 from ...files.outputs import whole_file
 from ...files.scene import read_scene
