@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -139,10 +140,14 @@ def track_scene(
             light = [clip_in_light(clip, followed.response.exponent) for clip in light]
         faces = read_faces(followed.die, followed.marks)
         die = with_numbers(followed.die, faces)
-        second = find_second_die(light[0], followed.track, cameras[0], followed.die, followed.background, unit_grey)
         frames = replace(followed.track, frame=decimation.frame_numbers(followed.track.frame))
         known = scene.known_errors(interval_s)
-        found = find_impacts(frames, scene.path, die, (cameras[0], known), progress, watch)
+        with ThreadPoolExecutor(1) as beside:  # the impacts need no pictures
+            other = beside.submit(
+                find_second_die, light[0], followed.track, cameras[0], followed.die, followed.background, unit_grey
+            )
+            found = find_impacts(frames, scene.path, die, (cameras[0], known), progress, watch)
+            second = other.result()
     except RunError as error:
         # A truncated clip may be the reason why no die is found.
         for notice in (notice for clip in clips for notice in clip.notices):
