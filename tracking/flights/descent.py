@@ -97,6 +97,15 @@ class ChainValues(NamedTuple):
     """(c,)."""
 
 
+class FrameErrors(NamedTuple):
+    """The error model of single frames, as the descent needs it."""
+
+    variance: Array
+    """(6,) of a single whitened number."""
+    share: Array
+    """(6,) weights of the whitened numbers."""
+
+
 class ChainTrajectory(NamedTuple):
     """The motion that the unknowns give, and the residuals of the frames about it, to be filled."""
 
@@ -250,11 +259,10 @@ def _weighted_cost(
 
 
 @compiled(nogil=True)
-def robust_cost(
-    data: ChainData, values: ChainValues, trajectory: ChainTrajectory, variance: Array, share: Array
-) -> float:
+def robust_cost(data: ChainData, values: ChainValues, trajectory: ChainTrajectory, errors: FrameErrors) -> float:
     """The same with Tukey's loss for frames (`FlightChain.cost`). What lies beyond the cutoff counts in full: errors that stay
     for many frames, for which the others count less, explain no such frame."""
+    variance, share = errors
     total, usual = _cost_of_priors_and_impacts(data, values, trajectory.impacts), 0.0
     for i in range(6):
         usual += variance[i] * share[i] / 6.0
@@ -395,15 +403,16 @@ def _remaining_steps(before: float, last: float) -> float:
 
 @compiled(nogil=True)
 def descend(
-    data: ChainData, values: ChainValues, trajectory: ChainTrajectory, variance: Array, share: Array,
-    estimate_scale: bool, by_flight: bool, steps: int, weights: Array,
+    data: ChainData, values: ChainValues, trajectory: ChainTrajectory, errors: FrameErrors, estimate_scale: bool,
+    by_flight: bool, steps: int, weights: Array,
 ) -> None:  # fmt: skip
-    """Step until no step gains any more. `values`, `trajectory` and `weights` (n,) are those of the end; so are variance (6,) and
-    share (6,) of an error model whose scale is estimated.
+    """Step until no step gains any more. `values`, `trajectory` and `weights` (n,) are those of the end; so are `errors` if
+    their scale is estimated, as that of a white error.
 
     A first guess may leave all frames far off; the cutoff is therefore widened over the first steps, by one factor for all frames
     or flight by flight. The latter recovers a flight that begins so far off that it would be left without frames; but if another
     contact lies within a flight, one factor for all frames does better."""
+    variance, share = errors
     n, links, struck = len(weights), len(values.times_s), len(data.impacts.link)
     size = 12 + len(values.constants)
     trial, further = _room_for(values), _room_for(values)
@@ -444,8 +453,8 @@ def descend(
         if times > 1.0:
             _step(now, data, first, changes, times, further)
             follow_chain(data, further, further_trajectory)
-            ahead = robust_cost(data, further, further_trajectory, variance, share)
-            took_more = ahead < robust_cost(data, trial, trial_trajectory, variance, share)
+            ahead = robust_cost(data, further, further_trajectory, errors)
+            took_more = ahead < robust_cost(data, trial, trial_trajectory, errors)
         if took_more:
             now, further = further, now
             now_trajectory, further_trajectory = further_trajectory, now_trajectory

@@ -39,6 +39,7 @@ from .descent import (
     ChainData,
     ChainTrajectory,
     ChainValues,
+    FrameErrors,
     chain_equations,
     descend,
     empty_trajectory,
@@ -220,10 +221,10 @@ class _Descent:
 def _descend(unknowns: _Unknowns, *, estimate_scale: bool, by_flight: bool, steps: int) -> _Descent:
     """Step until no step gains any more (`descent.descend`)."""
     values, trajectory = unknowns.copied_values(), unknowns.empty_trajectory()
-    variance, share, weights = unknowns.errors.variance, unknowns.share.copy(), np.ones(len(unknowns.observations))
-    descend(unknowns.data, values, trajectory, variance, share, estimate_scale, by_flight, steps, weights)
-    errors = ErrorModel.white(float(np.sqrt(variance[0]))) if estimate_scale else unknowns.errors
-    return _Descent(replace(unknowns, values=values, errors=errors, share=share), trajectory, weights)
+    frames, weights = unknowns.frame_errors(), np.ones(len(unknowns.observations))
+    descend(unknowns.data, values, trajectory, frames, estimate_scale, by_flight, steps, weights)
+    errors = ErrorModel.white(float(np.sqrt(frames.variance[0]))) if estimate_scale else unknowns.errors
+    return _Descent(replace(unknowns, values=values, errors=errors, share=frames.share), trajectory, weights)
 
 
 # --- impacts at a vertex -----------------------------------------------------------------------------------------------
@@ -350,13 +351,17 @@ class _Unknowns:
         """The values in arrays of their own."""
         return ChainValues(*(each.copy() for each in self.values))
 
+    def frame_errors(self) -> FrameErrors:
+        """The error model in arrays of its own."""
+        return FrameErrors(self.errors.variance, self.share.copy())
+
     def empty_trajectory(self) -> ChainTrajectory:
         """Room for the motion."""
         return empty_trajectory(len(self.observations), len(self.links), len(self.data.impacts.link))
 
     def robust_cost(self, trajectory: ChainTrajectory) -> float:
         """`descent.robust_cost`."""
-        return float(robust_cost(self.data, self.values, trajectory, self.errors.variance, self.share))
+        return float(robust_cost(self.data, self.values, trajectory, self.frame_errors()))
 
     def equations(self, trajectory: ChainTrajectory, weights: Array) -> tuple[Array, Array, Stages]:
         """Normal equations of the flights, the priors included in those of the first, and the links between."""
