@@ -23,8 +23,9 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 from matplotlib import pyplot as plt
+from measuring import timed
 from numpy.typing import NDArray
-from peers import DIE, ENGINES, Engine, cpu_seconds, installed, landed_faces, our_faces, releases
+from peers import DIE, ENGINES, PeerEngine, installed, landed_faces, our_faces, releases
 
 from diethrow.commands.clip.trade import (
     LADDER,
@@ -201,7 +202,7 @@ def measured_model(rounds: int, throws: int) -> list[Row]:
     def seconds(j: int) -> float:
         name, times, way = ways[j]
         print(name, file=sys.stderr, flush=True)
-        return max(cpu_seconds(way), 1e-9) / times
+        return max(timed(way)[1], 1e-9) / times
 
     runs = [partial(seconds, j) for j in range(len(ways))]
     speeds = np.array([by_turns(runs[0], runs) for _ in range(rounds)])
@@ -217,7 +218,7 @@ def by_events(stage: ThrowSetup, starts: NDArray[np.float64]) -> Faces:
     return np.asarray(stage.throw(starts).face)
 
 
-def by_engine(engine: Engine, starts: NDArray[np.float64]) -> Faces:
+def by_engine(engine: PeerEngine, starts: NDArray[np.float64]) -> Faces:
     """The same of another engine; 0 for none."""
     return np.asarray(landed_faces(engine, starts)) + 1
 
