@@ -16,6 +16,7 @@ to the same file. Here a file's name is a digest of what it is for.
 from __future__ import annotations
 
 import hashlib
+import pickle
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -55,18 +56,57 @@ class _KernelCacheImpl(CompileResultCacheImpl):
 
 
 class _Index(IndexDataCacheFile):
-    """The list of compiled versions of one kernel, by argument types.
+    """The files of one kernel: one for each version, and the list of them.
 
-    numba unpickles the argument types of an index before it compares the stamp. An index of older sources may name a type that no
-    longer exists; it is outdated, so it counts as empty.
+    A version is found by the name of its file. The list serves to remove the files of older sources.
     """
 
-    def _load_index(self) -> dict[Any, str]:
+    def has(self, key: Any) -> bool:
+        """Whether there is a file for a version."""
+        return Path(self._data_path(self._name_of(key))).exists()
+
+    def load(self, key: Any) -> Any:
+        """What was kept of a version, or None."""
         try:
-            overloads: dict[Any, str] = super()._load_index()
+            kept_key, kept = self._load_data(self._name_of(key))
+        except OSError:
+            return None
+        return kept if kept_key == key else None
+
+    def save(self, key: Any, kept: Any) -> None:
+        """Keep a version."""
+        name = self._name_of(key)
+        self._save_data(name, (key, kept))
+        versions = self._load_index()
+        if not versions:
+            self._remove_outdated()
+        self._save_index({**versions, key: name})
+
+    def _name_of(self, key: Any) -> str:
+        return self._data_name_pattern.replace("{number:d}", _digest(self._source_stamp, self._version, *key))
+
+    def _load_index(self) -> dict[Any, str]:
+        """numba unpickles the argument types of an index before it compares the stamp. An index of older sources may name a type
+        that no longer exists; it is outdated, so it counts as empty."""
+        try:
+            versions: dict[Any, str] = super()._load_index()
         except (AttributeError, ImportError):
             return {}
-        return overloads
+        return versions
+
+    def _remove_outdated(self) -> None:
+        """Remove the files of older sources; without the names of those whose types no longer exist."""
+        with suppress(OSError, AttributeError, ImportError), open(self._index_path, "rb") as file:
+            pickle.load(file)  # numba's version
+            stamp, versions = pickle.load(file)
+            if stamp != self._source_stamp:
+                for name in versions.values():
+                    Path(self._data_path(name)).unlink(missing_ok=True)
+
+
+def _digest(*parts: Any) -> str:
+    """A name for what is written alike in all processes: numba's types have names."""
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
 
 
 class KernelCache(FunctionCache):
@@ -81,3 +121,8 @@ class KernelCache(FunctionCache):
             filename_base=self._impl.filename_base,
             source_stamp=self._impl.locator.get_source_stamp(),
         )
+
+    def has(self, arguments: tuple[Any, ...], target: Any) -> bool:
+        """Whether the version for these types of arguments is kept."""
+        target.refresh()
+        return self._cache_file.has(self._index_key(arguments, target.codegen()))

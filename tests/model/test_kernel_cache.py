@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import diethrow.model
-from diethrow.model.kernel_cache import source_digest
+from diethrow.model.source_digest import source_digest
 
 MODEL = Path(diethrow.model.__file__).parent
 
