@@ -24,7 +24,7 @@ from typing import Any
 
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 
-from .kernel_library import call_before_loading, from_cache
+from .kernel_library import MissingCodeError, from_cache, note_shared
 from .source_digest import source_digest
 
 
@@ -46,9 +46,8 @@ class _KernelCacheImpl(CompileResultCacheImpl):
 
     def reduce(self, result: Any) -> Any:
         """What the cache keeps of a compilation."""
-        kept = super().reduce(result)
-        call_before_loading(result)
-        return kept
+        note_shared(result)
+        return super().reduce(result)
 
     def rebuild(self, target: Any, kept: Any) -> Any:
         """The compilation's result."""
@@ -121,6 +120,13 @@ class KernelCache(FunctionCache):
             filename_base=self._impl.filename_base,
             source_stamp=self._impl.locator.get_source_stamp(),
         )
+
+    def load_overload(self, signature: Any, target: Any) -> Any:
+        """The compilation as it is kept, or None."""
+        try:
+            return super().load_overload(signature, target)
+        except MissingCodeError:  # without a file that was there when this one was written
+            return None
 
     def has(self, arguments: tuple[Any, ...], target: Any) -> bool:
         """Whether the version for these types of arguments is kept."""

@@ -10,15 +10,15 @@ run, or was already made. Three kinds of libraries avoid this:
 - `SharedLibrary`: a large kernel that several kernels call. Callers call its one machine code instead of a copy of it.
 
 Machine code in the cache that calls a shared kernel names the code by a symbol. The symbol must be the same in every process, so
-it contains a digest of the sources instead of numba's count of compilations. Before such a caller is loaded, `LoadShared` loads
-what it calls; numba pickles such calls as `reload_init` together with the caller.
+it contains a digest of the sources instead of numba's count of compilations. What the cache keeps of a caller names the shared
+kernels that it calls, and they are loaded before it.
 
 These classes are not part of numba's documented interface, as those of `kernel_cache`; the tests run on the lowest version, too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import reduce
 from importlib import import_module
@@ -34,6 +34,49 @@ from .source_digest import source_digest
 
 _DIGITS_OF_A_SYMBOL = 15
 """Hexadecimal digits of the digest in a symbol: the number has less than 64 bits."""
+_ENVIRONMENT = "_ZN08NumbaEnv"
+"""How symbols of environments begin."""
+
+
+@dataclass(frozen=True)
+class SharedKernel:
+    """A shared kernel that other code calls."""
+
+    symbol: str
+    module: str
+    kernel: str
+    arguments: tuple[Any, ...]
+    """numba's types."""
+
+    def load(self) -> None:
+        """Load its machine code from the cache, or make it."""
+        dispatcher: Any = reduce(getattr, self.kernel.split("."), import_module(self.module))
+        dispatcher.compile(self.arguments)
+
+
+_SHARED: dict[str, SharedKernel] = {}
+"""The shared kernels of this process by their symbols."""
+
+
+def _called_by(code: Any) -> tuple[SharedKernel, ...]:
+    """The shared kernels that an LLVM module calls."""
+    return tuple(_SHARED[one.name] for one in code.functions if one.is_declaration and one.name in _SHARED)
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """What the cache keeps of a library."""
+
+    bitcode: bytes
+    """LLVM's code, for copies in callers."""
+    calls: tuple[SharedKernel, ...]
+    machine_code: bytes = b""
+    symbols: tuple[str, ...] = ()
+    """Those that the machine code defines."""
+
+
+class MissingCodeError(RuntimeError):
+    """Machine code calls shared kernels that are not there. LLVM would end the process."""
 
 
 class EntryLibrary(JITCodeLibrary):  # type: ignore[misc]
@@ -43,12 +86,63 @@ class EntryLibrary(JITCodeLibrary):  # type: ignore[misc]
     no machine code of their own are told within their callers' code, here.
     """
 
+    KIND = "entry"
+    _bitcode = b""
+
     def _finalize_specific(self) -> None:
         super()._finalize_specific()
         for variable in self._final_module.global_variables:
-            environment = lookup_environment(variable.name) if variable.name.startswith("_ZN08NumbaEnv") else None
+            environment = lookup_environment(variable.name) if variable.name.startswith(_ENVIRONMENT) else None
             if environment is not None and not variable.is_declaration:
                 self._codegen.set_env(variable.name, environment)
+
+    def _finalize_final_module(self) -> None:
+        self._demand(_called_by(self._final_module))
+        super()._finalize_final_module()
+
+    def _demand(self, kernels: Iterable[SharedKernel]) -> None:
+        """Raises MissingCodeError unless there is machine code of the kernels."""
+        missing = [one.kernel for one in kernels if not self._codegen._engine.is_symbol_defined(one.symbol)]
+        if missing:
+            raise MissingCodeError(f"{self.name} calls {', '.join(missing)}, which could not be loaded")
+
+    def _get_module_for_linking(self) -> Any:
+        if self._shared_module is None and self._bitcode:
+            self._shared_module = llvm.parse_bitcode(self._bitcode)
+        return super()._get_module_for_linking()
+
+    def serialize_using_object_code(self) -> tuple[str, str, _Kept]:
+        """What the cache keeps."""
+        bitcode = self._get_module_for_linking().as_bitcode()
+        code = self._final_module
+        symbols = [value.name for value in (*code.functions, *code.global_variables) if not value.is_declaration]
+        kept = _Kept(bitcode, _called_by(code), self._get_compiled_object(), tuple(symbols))
+        return self.name, self.KIND, kept
+
+    @classmethod
+    def loaded(cls, codegen: Any, name: str, kept: _Kept) -> EntryLibrary:
+        """The library as the cache has it. Raises MissingCodeError."""
+        library = cls(codegen, name)
+        library._demand(kept.calls)
+        library.enable_object_caching()
+        library._set_compiled_object(kept.machine_code)
+        library._bitcode = kept.bitcode
+        library._finalize_final_module()
+        codegen._engine._defined_symbols.update(kept.symbols)
+        return library
+
+
+class SharedLibrary(EntryLibrary):
+    """The library of a kernel that kernels call by its symbol."""
+
+    KIND = "shared"
+
+    def _get_module_for_linking(self) -> Any:
+        """Nothing: the caller's own module declares the symbol."""
+        self._ensure_finalized()
+        if self._shared_module is None:
+            self._shared_module = llvm.parse_assembly(str(self._codegen._create_empty_module(self.name)))
+        return self._shared_module
 
 
 class LinkedLibrary(JITCodeLibrary):  # type: ignore[misc]
@@ -70,46 +164,17 @@ class LinkedLibrary(JITCodeLibrary):  # type: ignore[misc]
         self._ensure_finalized()
         return 0
 
-    def serialize_using_object_code(self) -> tuple[str, str, bytes]:
-        """What the cache keeps: LLVM's code."""
-        return self.name, self.KIND, self._get_module_for_linking().as_bitcode()
+    def serialize_using_object_code(self) -> tuple[str, str, _Kept]:
+        """What the cache keeps."""
+        code = self._get_module_for_linking()
+        return self.name, self.KIND, _Kept(code.as_bitcode(), _called_by(code))
 
     @classmethod
-    def loaded(cls, codegen: Any, name: str, bitcode: bytes) -> LinkedLibrary:
+    def loaded(cls, codegen: Any, name: str, kept: _Kept) -> LinkedLibrary:
         """The library as the cache has it."""
         library = cls(codegen, name)
-        library._shared_module = library._final_module = llvm.parse_bitcode(bitcode)
+        library._shared_module = library._final_module = llvm.parse_bitcode(kept.bitcode)
         library._finalized = True
-        return library
-
-
-class SharedLibrary(EntryLibrary):
-    """The library of a kernel that kernels call by its symbol."""
-
-    KIND = "shared"
-
-    def _get_module_for_linking(self) -> Any:
-        """Nothing: the caller's own module declares the symbol."""
-        self._ensure_finalized()
-        if self._shared_module is None:
-            self._shared_module = llvm.parse_assembly(str(self._codegen._create_empty_module(self.name)))
-        return self._shared_module
-
-    def serialize_using_object_code(self) -> tuple[str, str, tuple[bytes, tuple[str, ...]]]:
-        """What the cache keeps: machine code, and the symbols that it defines."""
-        values = (*self._final_module.functions, *self._final_module.global_variables)
-        symbols = tuple(value.name for value in values if not value.is_declaration)
-        return self.name, self.KIND, (self._get_compiled_object(), symbols)
-
-    @classmethod
-    def loaded(cls, codegen: Any, name: str, data: tuple[bytes, tuple[str, ...]]) -> SharedLibrary:
-        """The library as the cache has it."""
-        code, symbols = data
-        library = cls(codegen, name)
-        library.enable_object_caching()
-        library._set_compiled_object(code)
-        library._finalize_final_module()
-        codegen._engine._defined_symbols.update(symbols)
         return library
 
 
@@ -159,32 +224,22 @@ class SharedCompiler(EntryCompiler):
         return super().define_pipelines()
 
 
-@dataclass(frozen=True)
-class LoadShared:
-    """Loads the machine code of a shared kernel, before code is loaded that calls it."""
-
-    module: str
-    kernel: str
-    arguments: tuple[Any, ...]
-    """numba's types."""
-
-    def __call__(self) -> None:
-        dispatcher: Any = reduce(getattr, self.kernel.split("."), import_module(self.module))
-        dispatcher.compile(self.arguments)
-
-
 def from_cache(target: Any, rebuild: Callable[..., Any], payload: Any) -> Any:
-    """numba's result of a compilation from what the cache keeps of it, with a library of the right kind."""
+    """numba's result of a compilation from what the cache keeps of it, with a library of the right kind.
+
+    Raises MissingCodeError if it calls a shared kernel that could not be loaded.
+    """
     result = rebuild(_Target(target), payload)._replace(target_context=target)
-    call_before_loading(result)
+    note_shared(result)
     return result
 
 
-def call_before_loading(result: Any) -> None:
-    """Note with a shared kernel that its callers must load it first. Its own entry in the cache must be made before."""
+def note_shared(result: Any) -> None:
+    """Note a shared kernel that was compiled or loaded, for what the cache keeps of its callers."""
     if isinstance(result.library, SharedLibrary):
-        load = LoadShared(result.fndesc.modname, result.fndesc.qualname, tuple(result.signature.args))
-        result.library._reload_init.add(load)
+        described = result.fndesc
+        symbol, arguments = described.mangled_name, tuple(result.signature.args)
+        _SHARED[symbol] = SharedKernel(symbol, described.modname, described.qualname, arguments)
 
 
 class _Target:
@@ -208,7 +263,10 @@ class _Codegen:
     def unserialize_library(self, kept: tuple[str, str, Any]) -> Any:
         """The library of a kernel as the cache keeps it."""
         name, kind, data = kept
-        for library in (LinkedLibrary, SharedLibrary):
+        if isinstance(data, _Kept):
+            for each in data.calls:
+                each.load()
+        for library in (EntryLibrary, LinkedLibrary, SharedLibrary):
             if kind == library.KIND:
                 return library.loaded(self._codegen, name, data)
         return self._codegen.unserialize_library(kept)

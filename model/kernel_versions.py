@@ -15,7 +15,7 @@ from typing import Any
 from numba import types
 
 Encoded = str | list[Any]
-"""A type as JSON: a string for numbers and arrays, `[kind, ...]` for what is made of other types."""
+"""A type as JSON: a string for numbers and arrays, `[kind, ..., parts]` for what is made of other types."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def encode(kind: Any) -> Encoded:
     if isinstance(kind, types.BaseTuple):
         return ["tuple", [encode(each) for each in kind.types]]
     if isinstance(kind, types.Optional):
-        return ["optional", encode(kind.type)]
+        return ["optional", [encode(kind.type)]]
     if isinstance(kind, types.Omitted):
         return ["omitted", kind.value]
     if isinstance(kind, types.Number | types.Boolean | types.NoneType):
@@ -68,27 +68,30 @@ def encode(kind: Any) -> Encoded:
     raise TypeError(f"{kind}: no type of an argument that a list of kernels can hold")
 
 
-def decode(text: Encoded) -> Any:
-    """The type that `encode` wrote. Raises ImportError, AttributeError or ValueError if it does not exist any more."""
+def decode(text: Encoded, before: Sequence[Any]) -> Any:
+    """The type that `encode` wrote, where types within it are numbers of types `before`.
+
+    Raises ImportError, AttributeError or ValueError if it does not exist any more.
+    """
     if isinstance(text, str):
         name, _, rest = text.partition("[")
-        scalar = types.none if name == "none" else getattr(types, name)
-        if not rest:
-            return scalar
-        ndim, layout = int(rest[0]), rest[1]
-        return types.Array(scalar, ndim, layout, readonly=rest.endswith("readonly"))
+        scalar = {"bool": types.boolean}.get(name) or getattr(types, name)
+        return types.Array(scalar, int(rest[0]), rest[1], readonly=rest.endswith("readonly")) if rest else scalar
     kind, *parts = text
-    if kind == "record":
-        module, name, fields = parts
-        record = _named(module, name)
-        if len(record._fields) != len(fields):
-            raise ValueError(f"{module}.{name} has {len(record._fields)} fields, not {len(fields)}")
-        return types.BaseTuple.from_types([decode(each) for each in fields], record)
-    if kind == "tuple":
-        return types.BaseTuple.from_types([decode(each) for each in parts[0]])
+    if kind == "omitted":
+        return types.Omitted(parts[0])
+    inner = [before[each] for each in parts[-1]]
+    if None in inner:
+        raise ValueError(f"{text} is made of a type that does not exist any more")
     if kind == "optional":
-        return types.Optional(decode(parts[0]))
-    return types.Omitted(parts[0])
+        return types.Optional(inner[0])
+    if kind == "tuple":
+        return types.BaseTuple.from_types(inner)
+    module, name, _ = parts
+    record = _named(module, name)
+    if len(record._fields) != len(inner):
+        raise ValueError(f"{module}.{name} has {len(record._fields)} fields, not {len(inner)}")
+    return types.BaseTuple.from_types(inner, record)
 
 
 def _named(module: str, name: str) -> Any:

@@ -89,7 +89,6 @@ def analyze(
         checked = checked_scene(scene, allow_outside)
         from ..commands.clip.analyze import analyze as analyze_scene
         from ..commands.clip.run_options import RunOptions
-        from .compiling import model_ahead
 
         with checked_options():
             check_half_width(chi_within, trade_file)
@@ -101,7 +100,7 @@ def analyze(
                 chosen, less = setting_for(checked, chi_within, trade_file, progress)
                 options = replace(options, quality=chosen, every=less.every, shrink=less.shrink)
                 print_setting(chi_within, options)
-        with progress_bars() as progress, model_ahead():
+        with progress_bars("analyze") as progress:
             result = analyze_scene(
                 checked,
                 out,
