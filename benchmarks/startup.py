@@ -1,15 +1,17 @@
 """Waiting time of a user: help, import, and the compilation of the first run.
 
     python benchmarks/startup.py                # help and import, the best of seven
-    python benchmarks/startup.py --compile      # and which kernels the first analysis compiles, in an empty cache
+    python benchmarks/startup.py --compile      # and each kernel that the first analysis compiles, in an empty cache
     python benchmarks/startup.py --compile --alone    # the same without a second process
 
-Times of compilation are processor times, which other load hardly changes.
+Times of compilation are processor times, which other load hardly changes. A kernel's own time is without that of the kernels of
+this package that it calls; numba's functions count with the kernel that calls them.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import resource
 import subprocess
@@ -17,13 +19,14 @@ import sys
 import tempfile
 import threading
 import time
-from collections import defaultdict
+from collections import Counter
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 SCENE = Path(__file__).parents[1] / "data_samples" / "cube_wood" / "scene.toml"
-KERNELS_SHOWN = 12
+NOTES = "DIETHROW_COMPILATION_NOTES"
+"""The environment variable that names the folder in which each process notes what it compiled."""
 
 
 def main() -> None:
@@ -39,8 +42,8 @@ def main() -> None:
     for name, program in (("diethrow --help", HELP), ("import diethrow", "import diethrow"), ("python alone", "pass")):
         print(f"{name:16} {best_s(program):.3f} s", flush=True)
     if options.compile:
-        with tempfile.TemporaryDirectory() as cache:
-            environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
+        with tempfile.TemporaryDirectory() as folder:
+            environment = {**os.environ, "NUMBA_CACHE_DIR": f"{folder}/cache", NOTES: folder}
             words = [sys.executable, __file__, "--in-empty-cache", *(["--alone"] if options.alone else [])]
             subprocess.run(words, env=environment, check=True)
 
@@ -59,56 +62,80 @@ def best_s(program: str) -> float:
 
 
 def _first_run(alone: bool) -> None:
-    """Analyse the sample with an empty cache, and report what was compiled and the time it took."""
-    from numba.core import event
-
-    clock = _CompileClock()
-    event.register("numba:compile", clock.listener)
-    from diethrow.cli.compiling import model_ahead
+    """Analyse the sample with an empty cache, and report what was compiled, where, and the time it took."""
+    from diethrow.cli.compiling import shared_compilation
     from diethrow.commands.clip.analyze import analyze
     from diethrow.files.scene import read_scene
 
     begin, begin_cpu = time.perf_counter(), time.process_time()
-    with tempfile.TemporaryDirectory() as out, nullcontext() if alone else model_ahead():
+    helped = nullcontext() if alone else shared_compilation("analyze", lambda done, total: None)
+    with tempfile.TemporaryDirectory() as out, helped:
         analyze(read_scene(SCENE), Path(out) / "out")
     wall, cpu = time.perf_counter() - begin, time.process_time() - begin_cpu
     helper = resource.getrusage(resource.RUSAGE_CHILDREN)
-    print(
-        f"first analysis   {wall:.0f} s, {cpu:.0f} s of processor time and {helper.ru_utime + helper.ru_stime:.0f} s of a"
-    )
-    print(f"                 second process; compiled here, {clock.total_s:.0f} s:")
-    for name, (count, seconds) in sorted(clock.outermost.items(), key=lambda each: -each[1][1])[:KERNELS_SHOWN]:
-        print(f"  {seconds:6.1f} s  {name}" + (f", for {count} signatures" if count > 1 else ""))
+    notes = [json.loads(line) for file in Path(os.environ[NOTES]).glob("*.jsonl") for line in file.read_text().splitlines()]
+    here = [note for note in notes if note["process"] == os.getpid()]
+    there = [note for note in notes if note["process"] != os.getpid()]
+    print(f"first analysis   {wall:.0f} s: {cpu:.0f} s of processor time, {helper.ru_utime + helper.ru_stime:.0f} s of other processes")
+    for where, some in (("this process", here), ("other processes", there)):
+        print(f"{where:16} {len(some)} kernels, {_sum(some, 'own'):.0f} s")
+    both = {(note["kernel"], note["arguments"]) for note in here} & {(note["kernel"], note["arguments"]) for note in there}
+    waste = [note for note in there if (note["kernel"], note["arguments"]) in both]
+    print(f"compiled twice   {len(waste)} kernels, {_sum(waste, 'own'):.1f} s")
+    _print_kernels(notes)
 
 
-class _CompileClock:
-    """Processor time by the kernel that was called from Python, with all that it calls."""
+def _print_kernels(notes: list[dict[str, Any]]) -> None:
+    """A line for each kernel, the costliest first."""
+    versions = Counter(note["kernel"] for note in notes)
+    print("     own  with callees  kernel [s of processor time]")
+    own = {name: _sum([note for note in notes if note["kernel"] == name], "own") for name in versions}
+    for name in sorted(own, key=own.__getitem__, reverse=True):
+        inclusive = _sum([note for note in notes if note["kernel"] == name], "with_callees")
+        print(f"{own[name]:8.2f}  {inclusive:12.2f}  {name}" + (f", {versions[name]} times" if versions[name] > 1 else ""))
+    print(f"{sum(own.values()):8.2f}  {'':12}  in total, {len(own)} kernels")
 
-    def __init__(self) -> None:
-        from numba.core import event
 
-        own = threading.local()
-        outermost: dict[str, list[Any]] = defaultdict(lambda: [0, 0.0])
-        self.outermost = outermost
+def _sum(notes: list[dict[str, Any]], what: str) -> float:
+    return float(sum(note[what] for note in notes))
 
-        class Listener(event.Listener):  # type: ignore[misc]
-            def on_start(self, happening: Any) -> None:
-                own.begun = [*getattr(own, "begun", []), time.thread_time()]
 
-            def on_end(self, happening: Any) -> None:
-                begun = own.begun.pop()
-                if not own.begun:
-                    function = happening.data["dispatcher"].py_func
-                    row = outermost[f"{function.__module__}.{function.__name__}"]
-                    row[0] += 1
-                    row[1] += time.thread_time() - begun
+def note_compilations(folder: str) -> None:
+    """Note in a file of this process what it compiles from now on."""
+    from numba.core import event
+    from numba.core.caching import NullCache
 
-        self.listener = Listener()
+    own = threading.local()
+    file = Path(folder) / f"{os.getpid()}.jsonl"
 
-    @property
-    def total_s(self) -> float:
-        return float(sum(seconds for _, seconds in self.outermost.values()))
+    class Listener(event.Listener):  # type: ignore[misc]
+        def on_start(self, happening: Any) -> None:
+            if not isinstance(happening.data["dispatcher"]._cache, NullCache):
+                own.open = [*getattr(own, "open", []), [time.thread_time(), 0.0]]
 
+        def on_end(self, happening: Any) -> None:
+            dispatcher = happening.data["dispatcher"]
+            if not isinstance(dispatcher._cache, NullCache):
+                begin, of_callees = own.open.pop()
+                taken = time.thread_time() - begin
+                if own.open:
+                    own.open[-1][1] += taken
+                function = dispatcher.py_func
+                note = {
+                    "process": os.getpid(),
+                    "kernel": f"{function.__module__}.{function.__qualname__}",
+                    "arguments": str(happening.data["args"]),
+                    "own": taken - of_callees,
+                    "with_callees": taken,
+                }
+                with file.open("a", encoding="utf-8") as lines:
+                    lines.write(json.dumps(note) + "\n")
+
+    event.register("numba:compile", Listener())
+
+
+if NOTES in os.environ and "--in-empty-cache" in sys.argv:  # also in the other processes, which import this file
+    note_compilations(os.environ[NOTES])
 
 if __name__ == "__main__":
     main()

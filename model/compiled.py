@@ -20,18 +20,32 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+from numba.core.types import unliteral
 
 from .kernel_cache import KernelCache
+from .kernel_library import EntryCompiler, LinkedCompiler, SharedCompiler
 
 
-def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """`@compiled`, or `@compiled(nogil=True)` for what several threads call."""
+def compiled(function: Callable[..., Any] | None = None, *, shared: bool = False, **options: Any) -> Any:
+    """`@compiled`, or `@compiled(nogil=True)` for what several threads call.
+
+    `shared` is for a large kernel that several kernels call, or one from several places. They call its one machine code; others
+    are copied into their callers, and optimised there once more.
+    """
     if function is None:
-        return partial(compiled, **options)
-    kernel: Any = njit(function, no_cfunc_wrapper=True, **options)
+        return partial(compiled, shared=shared, **options)
+    only_kernels_call = options.get("no_cpython_wrapper", False)
+    compiler = SharedCompiler if shared else LinkedCompiler if only_kernels_call else EntryCompiler
+    kernel: Any = njit(function, no_cfunc_wrapper=True, pipeline_class=compiler, **options)
     if kernel is not function:  # with NUMBA_DISABLE_JIT it is the function itself
         kernel._cache = KernelCache(function)
+        kernel.get_call_template = partial(_call_without_literals, kernel.get_call_template)
     return kernel
+
+
+def _call_without_literals(template: Callable[..., Any], arguments: Any, named: Any) -> Any:
+    """numba's choice of a version for a call from a kernel, where a literal such as -1 is an integer as any other."""
+    return template(tuple(map(unliteral, arguments)), {name: unliteral(each) for name, each in named.items()})
 
 
 inner: Any = partial(compiled, no_cpython_wrapper=True)

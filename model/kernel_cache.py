@@ -8,104 +8,24 @@ on it, and only that. A copy of the folder, or another time stamp, compiles noth
 numba's cache asks a *locator* for the folder and for a stamp of the source, and discards an entry whose stamp differs. These
 classes are not part of numba's documented interface. The tests therefore also run on the lowest version of numba that the package
 admits.
+
+Two processes may compile versions of one kernel at the same time. numba numbers the files of versions, so that both would write
+to the same file. Here a file's name is a digest of what it is for.
 """
 
 from __future__ import annotations
 
 import hashlib
-import re
-from collections.abc import Callable, Iterator
-from functools import cache
-from importlib.util import find_spec
+import pickle
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 
-_IMPORT = re.compile(
-    rf"^from (\.+|(?={__name__.partition('.')[0]}\b))([\w.]*) import (\([^)]*\)|[^\n#]*)", re.MULTILINE
-)
-"""An import from this package at the left margin, relative or by its name: the only ones that run when a module is imported."""
-
-
-@cache
-def source_digest(path: Path) -> str:
-    """A digest of the file and of every file of the package that its imports lead to.
-
-    Raises ImportError for an import that leads to no file.
-    """
-    digests = sorted({_file_digest(file) for file in _reached(path)})
-    return hashlib.sha256("".join(digests).encode()).hexdigest()
-
-
-@cache
-def _file_digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def _reached(path: Path) -> set[Path]:
-    """The file, and all files that its imports lead to."""
-    reached: set[Path] = set()
-    ahead = [path]
-    while ahead:
-        file = ahead.pop()
-        if file not in reached:
-            reached.add(file)
-            ahead += _imported(file)
-    return reached
-
-
-@cache
-def _imported(path: Path) -> tuple[Path, ...]:
-    """The files that define what a file imports; a name that an `__init__` re-exports leads to the file that defines it."""
-    return tuple(_home(folder_or_module, name) for folder_or_module, name, _ in _imports(path))
-
-
-@cache
-def _imports(path: Path) -> tuple[tuple[Path, str, str], ...]:
-    """Imports of a file from this package: where from (without suffix), the name there, and the name here."""
-    found = []
-    for dots, module, names in _IMPORT.findall(path.read_text(encoding="utf-8")):
-        if dots:
-            origin = path.parents[len(dots) - 1].joinpath(*filter(None, module.split(".")))
-        else:
-            origin = _folder_or_module(module)
-        for each in _names(names):
-            name, _, here = each.partition(" as ")
-            found.append((origin, name.strip(), (here or name).strip()))
-    return tuple(found)
-
-
-def _folder_or_module(name: str) -> Path:
-    """Folder, or file without suffix, of a module with a full name. Its folders need not lie in each other."""
-    spec = find_spec(name)
-    if spec is None or spec.origin is None:
-        raise ImportError(f"{name}: no module of that name")
-    file = Path(spec.origin)
-    return file.parent if file.stem == "__init__" else file.with_suffix("")
-
-
-def _names(text: str) -> Iterator[str]:
-    """The parts between commas, without comments and parentheses."""
-    bare = re.sub(r"#[^\n]*", "", text).strip("() \n")
-    return (part.strip() for part in bare.split(",") if part.strip())
-
-
-def _home(origin: Path, name: str) -> Path:
-    """The file in which a name is defined that is imported from a module or a folder."""
-    module = origin.with_suffix(".py")
-    if module.is_file():
-        return module
-    init = origin / "__init__.py"
-    for candidate in (origin / f"{name}.py", origin / name / "__init__.py"):
-        if candidate.is_file():
-            return candidate
-    if not init.is_file():
-        raise ImportError(f"{origin}: no module of that name, from which {name} is imported")
-    for further, there, here in _imports(init):
-        if here == name:
-            return _home(further, there)
-    return init
+from .kernel_library import MissingCodeError, from_cache, note_shared
+from .source_digest import source_digest
 
 
 class _KeyedOnSources:
@@ -124,20 +44,68 @@ class _KernelCacheImpl(CompileResultCacheImpl):
         type(locator.__name__, (_KeyedOnSources, locator), {}) for locator in CompileResultCacheImpl._locator_classes
     )
 
+    def reduce(self, result: Any) -> Any:
+        """What the cache keeps of a compilation."""
+        note_shared(result)
+        return super().reduce(result)
+
+    def rebuild(self, target: Any, kept: Any) -> Any:
+        """The compilation's result."""
+        return from_cache(target, super().rebuild, kept)
+
 
 class _Index(IndexDataCacheFile):
-    """The list of compiled versions of one kernel, by argument types.
+    """The files of one kernel: one for each version, and the list of them.
 
-    numba unpickles the argument types of an index before it compares the stamp. An index of older sources may name a type that no
-    longer exists; it is outdated, so it counts as empty.
+    A version is found by the name of its file. The list serves to remove the files of older sources.
     """
 
-    def _load_index(self) -> dict[Any, str]:
+    def has(self, key: Any) -> bool:
+        """Whether there is a file for a version."""
+        return Path(self._data_path(self._name_of(key))).exists()
+
+    def load(self, key: Any) -> Any:
+        """What was kept of a version, or None."""
         try:
-            overloads: dict[Any, str] = super()._load_index()
+            kept_key, kept = self._load_data(self._name_of(key))
+        except OSError:
+            return None
+        return kept if kept_key == key else None
+
+    def save(self, key: Any, kept: Any) -> None:
+        """Keep a version."""
+        name = self._name_of(key)
+        self._save_data(name, (key, kept))
+        versions = self._load_index()
+        if not versions:
+            self._remove_outdated()
+        self._save_index({**versions, key: name})
+
+    def _name_of(self, key: Any) -> str:
+        return self._data_name_pattern.replace("{number:d}", _digest(self._source_stamp, self._version, *key))
+
+    def _load_index(self) -> dict[Any, str]:
+        """numba unpickles the argument types of an index before it compares the stamp. An index of older sources may name a type
+        that no longer exists; it is outdated, so it counts as empty."""
+        try:
+            versions: dict[Any, str] = super()._load_index()
         except (AttributeError, ImportError):
             return {}
-        return overloads
+        return versions
+
+    def _remove_outdated(self) -> None:
+        """Remove the files of older sources; without the names of those whose types no longer exist."""
+        with suppress(OSError, AttributeError, ImportError), open(self._index_path, "rb") as file:
+            pickle.load(file)  # numba's version
+            stamp, versions = pickle.load(file)
+            if stamp != self._source_stamp:
+                for name in versions.values():
+                    Path(self._data_path(name)).unlink(missing_ok=True)
+
+
+def _digest(*parts: Any) -> str:
+    """A name for what is written alike in all processes: numba's types have names."""
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
 
 
 class KernelCache(FunctionCache):
@@ -152,3 +120,15 @@ class KernelCache(FunctionCache):
             filename_base=self._impl.filename_base,
             source_stamp=self._impl.locator.get_source_stamp(),
         )
+
+    def load_overload(self, signature: Any, target: Any) -> Any:
+        """The compilation as it is kept, or None."""
+        try:
+            return super().load_overload(signature, target)
+        except MissingCodeError:  # without a file that was there when this one was written
+            return None
+
+    def has(self, arguments: tuple[Any, ...], target: Any) -> bool:
+        """Whether the version for these types of arguments is kept."""
+        target.refresh()
+        return self._cache_file.has(self._index_key(arguments, target.codegen()))

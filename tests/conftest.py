@@ -21,7 +21,7 @@ from diethrow.executors import one_thread
 def compilation_is_not_announced(monkeypatch: pytest.MonkeyPatch) -> None:
     """Which test first compiles a kernel is chance, and many tests count the lines of messages."""
     monkeypatch.setattr("diethrow.cli.compiling.announced", lambda say: nullcontext())
-    monkeypatch.setattr("diethrow.cli.compiling.model_ahead", nullcontext)
+    monkeypatch.setattr("diethrow.cli.compiling.shared_compilation", lambda run, report: nullcontext())
     monkeypatch.setattr("diethrow.cli.compiling.is_compiled", lambda: True)
 
 

@@ -137,7 +137,7 @@ def slide_direction(xx: float, xy: float, yy: float, radius: float, dx: float, d
     return ux / size, uy / size, sigma
 
 
-@compiled
+@compiled(shared=True)
 def friction_impulse(
     matrix: Matrix6, chi: float, mu: float, ending: int, cx: float, cy: float, cz: float
 ) -> tuple[float, float, float]:

@@ -376,7 +376,7 @@ def pressed_set(
     return -1, -1
 
 
-@inner
+@inner(shared=True)
 def follow_held_contact(
     contact: Contact,
     precision: Precision,

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import diethrow.model
-from diethrow.model.kernel_cache import source_digest
+from diethrow.model.source_digest import source_digest
 
 MODEL = Path(diethrow.model.__file__).parent
 
@@ -120,3 +120,62 @@ def test_an_import_of_a_missing_module_raises_an_error(tmp_path: Path) -> None:
     file.write_text("from .missing import nothing\n")
     with pytest.raises(ImportError, match="missing"):
         source_digest(file)
+
+
+@pytest.fixture
+def chain(tmp_path: Path) -> Path:
+    """A kernel `outer` that copies `middle`, which calls the shared `core`; `other` copies `middle` as well."""
+    folder = tmp_path / "chain"
+    folder.mkdir()
+    (folder / "kernels.py").write_text(
+        "from diethrow.model.compiled import compiled, inner\n\n\n"
+        "@inner(shared=True)\ndef core(x):\n    return 2.0 * x\n\n\n"
+        "@inner\ndef middle(x):\n    return core(x) + 1.0\n\n\n"
+        "@compiled\ndef outer(x):\n    return middle(x)\n\n\n"
+        "@compiled\ndef other(x):\n    return 10.0 * middle(x)\n"
+    )
+    return tmp_path
+
+
+def call(folder: Path, kernel: str) -> tuple[float, list[str]]:
+    """The value of a kernel at 3 in a new process, and the kernels that were compiled for it."""
+    program = (
+        f"from chain import kernels; value = kernels.{kernel}(3.0); names = 'core', 'middle', 'outer', 'other';"
+        "print(value, *[name for name in names if sum(getattr(kernels, name).stats.cache_misses.values())])"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(folder / "cache")}
+    run = [sys.executable, "-c", program]
+    value, *names = subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout.split()
+    return float(value), names
+
+
+def test_callers_in_the_cache_load_the_shared_kernel_that_they_call(chain: Path) -> None:
+    """Also where a kernel was compiled with a copy from the cache: such a caller once ended the process."""
+    assert call(chain, "outer") == (7.0, ["core", "middle", "outer"])
+    assert call(chain, "other") == (70.0, ["other"])
+    assert call(chain, "other") == (70.0, [])
+
+
+def test_a_shared_kernel_that_changed_or_is_gone_is_compiled_again_and_no_file_is_left_behind(chain: Path) -> None:
+    call(chain, "outer")
+    files = sorted(file.name for file in (chain / "cache").rglob("*.nb?"))
+    for file in (chain / "cache").rglob("kernels.core-*.nbc"):
+        file.unlink()
+    assert call(chain, "outer") == (7.0, ["core"])
+    edit(chain / "chain" / "kernels.py", "2.0 * x", "5.0 * x")
+    assert call(chain, "outer") == (16.0, ["core", "middle", "outer"])
+    after = sorted(file.name for file in (chain / "cache").rglob("*.nb?"))
+    assert len(files) == len(after) == 6
+    assert len(set(files) & set(after)) == 3  # the indices
+
+
+def test_a_literal_between_kernels_compiles_nothing_of_its_own(tmp_path: Path) -> None:
+    (tmp_path / "literals.py").write_text(
+        "from diethrow.model.compiled import compiled, inner\n\n\n"
+        "@inner\ndef scaled(x, n):\n    return n * x\n\n\n"
+        "@compiled\ndef both(x, n):\n    return scaled(x, 3) + scaled(x, n)\n"
+    )
+    program = "from literals import both, scaled; print(both(1.0, 2), len(scaled.signatures))"
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path)}
+    run = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+    assert run.stdout.split() == ["5.0", "1"]

@@ -38,7 +38,7 @@ from typing import Any
 
 import numpy as np
 
-from ...model.compiled import inner_no_memory
+from ...model.compiled import inner, inner_no_memory
 from ..placed_die import (
     CONTOUR,
     MAX_STRETCH_PIXELS,
@@ -102,7 +102,7 @@ LEAST_BAND_BLURS = 1.2
 """A band that reaches less far to either side, in blurs, does not show both intensities."""
 
 
-@inner_no_memory
+@inner(nogil=True, _nrt=False, shared=True)
 def add_edge_equations(
     view: int, windows: FrameWindows, model: PictureModel, pose: PoseState, sampling: EdgeSampling, work: Workspace,
     equations: NormalEquations,

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ...model.compiled import compiled, inner_no_memory, inner_nogil
+from ...model.compiled import inner, compiled, inner_no_memory, inner_nogil
 from ..placed_die import (
     CLEAR_PX,
     CONTOUR_PX,
@@ -55,7 +55,7 @@ UNEXPLAINED_COST = 10.0
 """Cost of edges of which the edge model explains no pixel, in units of the region cost."""
 
 
-@inner_nogil
+@inner(nogil=True, shared=True)
 def region_cost(
     windows: FrameWindows, model: PictureModel, pose: PoseState, margin: float, work: Workspace
 ) -> tuple[float, float]:

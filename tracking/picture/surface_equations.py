@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from ...model.compiled import inner_no_memory, inner_nogil
+from ...model.compiled import inner, inner_no_memory, inner_nogil
 from ..placed_die import (
     BLUR,
     CLEAR_PX,
@@ -126,7 +126,7 @@ _ALL = PARAMETERS + LIGHT_TERMS
 """Unknowns that all pixels share: those of the equations, then the light."""
 
 
-@inner_nogil
+@inner(nogil=True, shared=True)
 def add_picture_equations(
     view: int, windows: FrameWindows, model: PictureModel, pose: PoseState, sampling: EdgeSampling, work: Workspace,
     equations: NormalEquations,
@@ -149,7 +149,7 @@ def compares_surface(view: int, model: PictureModel, pose: PoseState) -> bool:
     return bool(ball_px(shape, rig, view, pose.position) > LEAST_ROUNDED_PX)
 
 
-@inner_nogil
+@inner(nogil=True, shared=True)
 def add_surface_equations(
     view: int, windows: FrameWindows, model: PictureModel, pose: PoseState, sampling: EdgeSampling, work: Workspace,
     equations: NormalEquations,

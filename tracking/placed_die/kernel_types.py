@@ -408,7 +408,7 @@ def _new_light_space(views: int, parts: int) -> LightSpace:
     )  # fmt: skip
 
 
-@compiled(nogil=True)
+@compiled(nogil=True, shared=True)
 def new_workspace(shape: Shape, rig: CameraRig) -> Workspace:
     """An empty workspace for dice of this shape."""
     nv, ne, nf = shape.vertices.shape[0], shape.edges.shape[0], shape.normals.shape[0]

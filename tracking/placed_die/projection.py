@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ...model.compiled import inner_no_memory, inner_nogil
+from ...model.compiled import inner, inner_no_memory, inner_nogil
 from .kernel_types import CameraRig, FrameWindows, PoseState, Shape, Workspace
 
 LEAST_DEPTH_M = 1e-6
@@ -416,7 +416,7 @@ def scale_px(rig: CameraRig, pos: Any) -> float:
     return best
 
 
-@inner_nogil
+@inner(nogil=True, shared=True)
 def crop_windows(
     pictures: Any, rig: CameraRig, shape: Shape, pose: PoseState, margin: float, work: Workspace
 ) -> FrameWindows:

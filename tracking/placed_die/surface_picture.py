@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from ...model.compiled import inner_no_memory, inner_nogil
+from ...model.compiled import inner, inner_no_memory, inner_nogil
 from .kernel_types import LIGHT_DEGREE, LIGHT_TERMS, CameraRig, EdgeSampling, PictureModel, PoseState, Shape, Workspace
 from .projection import place_die, project_point, reach_of_die
 from .rounded_surface import (
@@ -119,7 +119,7 @@ def _brightness_and_gradient(mean: Any, x: float, y: float, z: float) -> tuple[f
 # --- what a pose predicts
 
 
-@inner_nogil
+@inner(nogil=True, shared=True)
 def draw_surface(
     view: int, model: PictureModel, pose: PoseState, sampling: EdgeSampling, work: Workspace, grid: SurfaceGrid
 ) -> None:
@@ -259,7 +259,7 @@ def _face_with_room(lines: Any, count: Any, x: float, y: float) -> tuple[int, fl
 # --- how that changes
 
 
-@inner_nogil
+@inner(nogil=True, shared=True)
 def fill_changes(
     view: int, model: PictureModel, pose: PoseState, sampling: EdgeSampling, background: Any, work: Workspace, grid: SurfaceGrid
 ) -> int:  # fmt: skip

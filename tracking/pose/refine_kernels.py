@@ -170,7 +170,7 @@ def _moved_px(rig: CameraRig, view: int, pos: Any, step: Any, turned: float, rea
     return rig.matrix[view, 0, 0] / depth * (sqrt(x * x + y * y) + reach * abs(z) / depth + turned)
 
 
-@compiled(nogil=True)
+@compiled(nogil=True, shared=True)
 def refine_and_score(
     windows: FrameWindows, model: PictureModel, start: PoseState, prior: Any, coarse: int, work: Workspace,
     equations: NormalEquations,
@@ -266,7 +266,7 @@ def refine_and_score(
     return p, Q, cost
 
 
-@compiled(nogil=True)
+@compiled(nogil=True, shared=True)
 def refine_uncertain(
     windows: FrameWindows, model: PictureModel, start: PoseState, prior: Any, coarse: int, enough: float, work: Workspace,
     equations: NormalEquations,

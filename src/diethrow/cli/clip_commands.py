@@ -89,7 +89,6 @@ def analyze(
         checked = checked_scene(scene, allow_outside)
         from ..commands.clip.analyze import analyze as analyze_scene
         from ..commands.clip.run_options import RunOptions
-        from .compiling import model_ahead
 
         with checked_options():
             check_half_width(chi_within, trade_file)
@@ -104,7 +103,7 @@ def analyze(
                 tracked = chosen.tracking if timing == "corrected" else None
                 options = replace(options, quality=chosen.quality, every=less.every, shrink=less.shrink)
                 print_setting(chi_within, options)
-        with progress_bars() as progress, model_ahead():
+        with progress_bars("analyze") as progress:
             result = analyze_scene(
                 checked,
                 out,

@@ -11,21 +11,30 @@ import typer
 from .logs import is_quiet
 
 if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
     from ..commands.clip.batch import Standing
+
+COUNTED = "compiling the kernels, once per installation"
 
 
 @contextmanager
-def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
-    """One bar per stage on standard error; nothing if that is not a terminal."""
+def progress_bars(first_run: str | None = None) -> Iterator[Callable[[str, int, int], None]]:
+    """One bar per stage on standard error; nothing if that is not a terminal.
+
+    `first_run` names what the list of kernels calls this command: on a first run, other cores compile with it, and one more bar
+    counts the kernels.
+    """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
+    from .compiling import shared_compilation
+
     console = Console(stderr=True)
     columns = (TextColumn("{task.description:<22}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
-    with (
-        Progress(*columns, TimeElapsedColumn(), console=console, disable=is_quiet() or not console.is_terminal) as bars,
-        announcing(),
-    ):
+    bars = Progress(*columns, TimeElapsedColumn(), console=console, disable=is_quiet() or not console.is_terminal)
+    compilation = announcing() if first_run is None else shared_compilation(first_run, _compiled_in(bars))
+    with bars, compilation:
         tasks: dict[str, TaskID] = {}
 
         def report(stage: str, done: int, total: int) -> None:
@@ -38,6 +47,23 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
         yield report
         for task in tasks.values():
             bars.update(task, total=1, completed=1)
+
+
+def _compiled_in(bars: Progress) -> Callable[[int, int], None]:
+    """What reports the number of compiled kernels: in a bar, or in a line at the start and at each quarter."""
+    tasks: list[TaskID] = []
+    quarters = [-1]
+
+    def report(done: int, total: int) -> None:
+        if quarters == [-1]:
+            tasks.append(bars.add_task("", total=total))
+        bars.update(tasks[0], completed=done, description=f"Kernels {done} of {total}")
+        quarter = 4 * done // max(total, 1)
+        if quarter > quarters[0] and (bars.disable or quarter == 0):
+            _announce(f"{COUNTED}: {done} of {total}")
+        quarters[0] = max(quarter, quarters[0])
+
+    return report
 
 
 @contextmanager

@@ -1,7 +1,8 @@
-"""Commands that work on folders: replay, report, rerun, watch."""
+"""Commands that work on folders: replay, report, rerun, watch; and warm-up, on the installation."""
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,6 +12,7 @@ from .app import app
 from .errors import CLIPS_KEPT, FAILED, one_sentence_errors, stopped_with
 from .options import AsJson, EmbedReplay, Fineness, output_words
 from .printing import batch_record, print_json, print_notices, print_throws
+from .progress import progress_bars
 
 
 @app.command(
@@ -187,3 +189,23 @@ def watch(
                 executor=executor,
                 reported=reported,
             )
+
+
+@app.command("warm-up", epilog="Example:  diethrow warm-up     (after pip install, when a container image is built)")
+def warm_up(
+    processes: Annotated[
+        int | None, typer.Option("--processes", min=1, help="Number of processes. [default: one per core]")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compile all kernels now, so that no later command waits; for containers, clusters and batches."""
+    with one_sentence_errors():
+        from ..commands.model.compiled_kernels import summary
+        from ..commands.model.compiled_kernels import warm_up as compile_all
+
+        with progress_bars() as progress:
+            done = compile_all(processes, progress)
+        if as_json:
+            print_json({**asdict(done), "folder": str(done.folder)})
+        else:
+            typer.echo(summary(done))
