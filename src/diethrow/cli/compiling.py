@@ -66,7 +66,9 @@ def shared_compilation(run: str, report: Callable[[int, int], None]) -> Iterator
 def _begin_shared(run: str, report: Callable[[int, int], None], stack: ExitStack) -> Any:
     """A schedule of what is missing, and the helpers that follow it until the stack is left."""
     from ..kernel_list import Schedule, missing
+    from ..model.kernel_versions import rare_collections
 
+    stack.enter_context(rare_collections())
     schedule = Schedule(missing(run), last_first=True, report=report)
     helpers = min(cores() - 1, MOST_HELPERS)
     if helpers >= 1 and schedule.total > 1:
