@@ -16,6 +16,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -93,14 +94,16 @@ def record_command(words: list[str], file: Path) -> None:
     from numba.core.dispatcher import Dispatcher
 
     needed: list[tuple[Any, Any, Any]] = []
-    callers: list[Any] = []
-    inner_s = [0.0]
+    own = threading.local()  # several threads call kernels
     seconds: dict[Any, float] = {}
     compile_there = Dispatcher.compile
 
     def compile_and_note(self: Any, signature: Any) -> Any:
         if not isinstance(self._cache, KernelCache):  # numba's own, and closures
             return compile_there(self, signature)
+        if not hasattr(own, "callers"):
+            own.callers, own.inner_s = [], [0.0]
+        callers, inner_s = own.callers, own.inner_s
         version = (self.py_func.__module__, self.py_func.__qualname__, tuple(signature))
         needed.append((version, callers[-1] if callers else None, None))
         callers.append(version)
@@ -111,10 +114,10 @@ def record_command(words: list[str], file: Path) -> None:
         finally:
             callers.pop()
             taken = time.thread_time() - begin
-            own = taken - inner_s.pop()
+            without_callees = taken - inner_s.pop()
             inner_s[-1] += taken
             if sum(self._cache_misses.values()) > misses:
-                seconds[version] = own
+                seconds[version] = without_callees
             needed.append((version, None, "done"))
 
     Dispatcher.compile = compile_and_note

@@ -73,6 +73,7 @@ def _begin_shared(run: str, report: Callable[[int, int], None], stack: ExitStack
     helpers = min(cores() - 1, MOST_HELPERS)
     if helpers >= 1 and schedule.total > 1:
         processes = Processes(helpers)
+        stack.callback(processes.shutdown)
         stack.callback(processes.stop)
         # Started here and now: numba reads the environment while it compiles, which the start of a process changes for a moment.
         with suppress(RuntimeError, OSError, TimeoutError):
