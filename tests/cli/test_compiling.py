@@ -145,9 +145,7 @@ def test_the_count_is_announced_at_the_start_and_at_each_quarter(
     with progress_bars("analyze"):
         pass
     lines = capsys.readouterr().err.splitlines()
-    assert lines == [
-        f"diethrow: compiling the kernels, once per installation: {done} of 8" for done in (0, 2, 4, 6, 8)
-    ]
+    assert lines == [f"diethrow: compiling the kernels, once per installation: {done} of 8" for done in (0, 2, 4, 6, 8)]
 
 
 def test_an_empty_cache_is_detected(tmp_path: Path) -> None:
