@@ -72,14 +72,19 @@ def _first_run(alone: bool) -> None:
     with tempfile.TemporaryDirectory() as out, helped:
         analyze(read_scene(SCENE), Path(out) / "out")
     wall, cpu = time.perf_counter() - begin, time.process_time() - begin_cpu
-    helper = resource.getrusage(resource.RUSAGE_CHILDREN)
-    notes = [json.loads(line) for file in Path(os.environ[NOTES]).glob("*.jsonl") for line in file.read_text().splitlines()]
+    others = resource.getrusage(resource.RUSAGE_CHILDREN)
+    others_s = others.ru_utime + others.ru_stime
+    notes = [
+        json.loads(line) for file in Path(os.environ[NOTES]).glob("*.jsonl") for line in file.read_text().splitlines()
+    ]
     here = [note for note in notes if note["process"] == os.getpid()]
     there = [note for note in notes if note["process"] != os.getpid()]
-    print(f"first analysis   {wall:.0f} s: {cpu:.0f} s of processor time, {helper.ru_utime + helper.ru_stime:.0f} s of other processes")
+    print(f"first analysis   {wall:.0f} s: {cpu:.0f} s of processor time, {others_s:.0f} s of other processes")
     for where, some in (("this process", here), ("other processes", there)):
         print(f"{where:16} {len(some)} kernels, {_sum(some, 'own'):.0f} s")
-    both = {(note["kernel"], note["arguments"]) for note in here} & {(note["kernel"], note["arguments"]) for note in there}
+    both = {(note["kernel"], note["arguments"]) for note in here} & {
+        (note["kernel"], note["arguments"]) for note in there
+    }
     waste = [note for note in there if (note["kernel"], note["arguments"]) in both]
     print(f"compiled twice   {len(waste)} kernels, {_sum(waste, 'own'):.1f} s")
     _print_kernels(notes)
@@ -92,7 +97,9 @@ def _print_kernels(notes: list[dict[str, Any]]) -> None:
     own = {name: _sum([note for note in notes if note["kernel"] == name], "own") for name in versions}
     for name in sorted(own, key=own.__getitem__, reverse=True):
         inclusive = _sum([note for note in notes if note["kernel"] == name], "with_callees")
-        print(f"{own[name]:8.2f}  {inclusive:12.2f}  {name}" + (f", {versions[name]} times" if versions[name] > 1 else ""))
+        print(
+            f"{own[name]:8.2f}  {inclusive:12.2f}  {name}" + (f", {versions[name]} times" if versions[name] > 1 else "")
+        )
     print(f"{sum(own.values()):8.2f}  {'':12}  in total, {len(own)} kernels")
 
 

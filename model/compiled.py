@@ -1,15 +1,21 @@
 """How kernels are compiled: `@compiled` for a function of numbers and arrays, `@inner` for one that only kernels call.
 
 A kernel is compiled when it is first called, and kept in a cache beside its file. A user waits for that first call, and most of
-the time is numba's own work on types and code, for each set of argument types. Four rules keep it short:
+the time is numba's own work on types and code, for each set of argument types. Six rules keep it short:
 
 - No wrapper for calls from C, because there are none. It contains the whole kernel once more, and takes a quarter of the time.
 - No wrapper for calls from Python where there are none. It takes 25 ms of the 60 ms of the smallest function. A call of such
   a kernel from Python ends the process without an error message.
-- No literals as arguments. A literal such as -1 is a type of its own, so that f(-1) and f(i) are two functions, and all that f
-  calls is compiled twice. Constants that kernels pass on are made by `int64` and `truth`.
+- No literals as arguments. numba takes a literal such as -1 for a type of its own, so that f(-1) and f(i) are two functions, and
+  all that f calls is compiled twice. Kernels made here take it for an integer as any other.
 - No `a[:] = b` for arrays in kernels that every throw needs. Its check of shapes formats strings, which takes some seconds in
   the first file that has it. A loop takes a tenth of a second.
+- No machine code for what only kernels call: `inner` kernels are copied into their callers.
+- One machine code for a large kernel that several kernels call: `@inner(shared=True)`. Copied into its callers, the comparison of
+  a surface with its picture was optimised seven times, which took a quarter of the first run. A call costs some 50 ns, so small
+  kernels are better copied.
+
+After a change of kernels or of their arguments, `python benchmarks/kernel_list.py` writes the list of them.
 """
 
 from __future__ import annotations
@@ -19,8 +25,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numba import njit
-from numba.core.types import unliteral
+from numba import njit, types
 
 from .kernel_cache import KernelCache
 from .kernel_library import EntryCompiler, LinkedCompiler, SharedCompiler
@@ -45,7 +50,7 @@ def compiled(function: Callable[..., Any] | None = None, *, shared: bool = False
 
 def _call_without_literals(template: Callable[..., Any], arguments: Any, named: Any) -> Any:
     """numba's choice of a version for a call from a kernel, where a literal such as -1 is an integer as any other."""
-    return template(tuple(map(unliteral, arguments)), {name: unliteral(each) for name, each in named.items()})
+    return template(tuple(map(types.unliteral, arguments)), {name: types.unliteral(each) for name, each in named.items()})
 
 
 inner: Any = partial(compiled, no_cpython_wrapper=True)

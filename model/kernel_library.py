@@ -79,7 +79,7 @@ class MissingCodeError(RuntimeError):
     """Machine code calls shared kernels that are not there. LLVM would end the process."""
 
 
-class EntryLibrary(JITCodeLibrary):  # type: ignore[misc]
+class EntryLibrary(JITCodeLibrary):
     """The library of a kernel that Python calls.
 
     numba tells each function's machine code where its environment (constants that are Python objects) lies. Kernels that have
@@ -88,6 +88,7 @@ class EntryLibrary(JITCodeLibrary):  # type: ignore[misc]
 
     KIND = "entry"
     _bitcode = b""
+    _shared_module: Any
 
     def _finalize_specific(self) -> None:
         super()._finalize_specific()
@@ -145,7 +146,7 @@ class SharedLibrary(EntryLibrary):
         return self._shared_module
 
 
-class LinkedLibrary(JITCodeLibrary):  # type: ignore[misc]
+class LinkedLibrary(JITCodeLibrary):
     """The library of a kernel that only kernels call: copied into them, without machine code of its own."""
 
     KIND = "linked"
@@ -191,7 +192,7 @@ class _WithoutEnvironments:
         """Nothing to set."""
 
 
-class EntryCompiler(Compiler):  # type: ignore[misc]
+class EntryCompiler(Compiler):
     """numba's compiler, for a kernel that Python calls."""
 
     _library: type[JITCodeLibrary] = EntryLibrary

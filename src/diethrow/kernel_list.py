@@ -84,13 +84,18 @@ def cache_folder() -> Path:
 
 def compile_listed(numbers: Iterable[int]) -> int:
     """Compile entries of the list one after the other; return how many failed."""
+    from .model.kernel_versions import rare_collections
+
     failed = 0
     for number in numbers:
         entry = version(number)
         try:
             if entry is not None:
-                entry.compile()
-        except Exception:  # types that a kernel no longer takes; whoever calls the kernel compiles it, and sees the error
+                with rare_collections():
+                    entry.compile()
+        except (
+            Exception
+        ):  # types that a kernel no longer takes; whoever calls the kernel compiles it, and sees the error
             failed += 1
     return failed
 
@@ -112,12 +117,15 @@ class Schedule:
         """
         self._waiting = set(numbers)
         self._under_way: set[int] = set()
+        self._is_given_up = False
         self._total = len(self._waiting)
         self._report = report
         self._changed = Condition()
         self._numbers = {version(number): number for number in self._waiting}
         report(0, self._total)
-        self._rank = {number: float(number) for number in self._waiting} if last_first else _time_to_the_end(self._waiting)
+        self._rank = (
+            {number: float(number) for number in self._waiting} if last_first else _time_to_the_end(self._waiting)
+        )
 
     @property
     def done(self) -> int:
@@ -149,8 +157,10 @@ class Schedule:
     def take(self) -> list[int]:
         """Entries for a process to compile one after the other; waits until some are ready. None are left if there are none."""
         with self._changed:
-            while not (ready := self._ready(())) and self._waiting:
+            while not (ready := self._ready(())) and self._waiting and not self._is_given_up:
                 self._changed.wait()
+            if self._is_given_up:
+                return []
             batch: list[int] = []
             while ready and (not batch or sum(map(_seconds, batch)) < BATCH_S):
                 number = max(ready, key=self._rank.__getitem__)
@@ -163,7 +173,7 @@ class Schedule:
     def give_up(self) -> None:
         """Nothing more is compiled; whoever waits for work gets none."""
         with self._changed:
-            self._waiting.clear()
+            self._is_given_up = True
             self._changed.notify_all()
 
     def _ready(self, before: Iterable[int]) -> list[int]:

@@ -6,7 +6,8 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from multiprocessing import active_children
 from pathlib import Path
@@ -16,12 +17,13 @@ import pytest
 from numba import njit
 from typer.testing import CliRunner
 
+from diethrow import kernel_list
 from diethrow.cli import compiling
 from diethrow.cli.app import app
-from diethrow.cli.compiling import SENTENCE, announced, compile_model, model_ahead
+from diethrow.cli.compiling import SENTENCE, announced, shared_compilation
+from diethrow.cli.progress import progress_bars
 from diethrow.commands.clip.batch import Batch
-from diethrow.model import engine
-from diethrow.model.engine import derivatives
+from diethrow.model.kernel_versions import Version
 
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 
@@ -63,21 +65,29 @@ def test_compilation_is_announced_once_and_only_for_cached_kernels(fresh: Callab
     assert messages == [SENTENCE]
 
 
+@pytest.fixture
+def endless(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A list of two kernels that a helper compiles for a minute."""
+    monkeypatch.setattr(compiling, "cores", lambda: 2)
+    monkeypatch.setattr(kernel_list, "missing", lambda run: [0, 1])
+    monkeypatch.setattr(kernel_list, "compile_listed", partial(time.sleep, 60))
+
+
+def uncounted(done: int, total: int) -> None:
+    pass
+
+
 @pytest.mark.parametrize("exception", [False, True])
 def test_the_second_process_begins_with_the_first_compilation_and_ends_with_the_block(
-    fresh: Callable[[float], float], exception: bool, monkeypatch: pytest.MonkeyPatch
+    fresh: Callable[[float], float], endless: None, exception: bool
 ) -> None:
-    monkeypatch.setattr(compiling, "compile_model", partial(time.sleep, 60))
-    monkeypatch.setattr(compiling, "cores", lambda: 2)
     before, begun, during = set(active_children()), time.monotonic(), set()
 
     def first_run() -> None:
-        with model_ahead():
+        with shared_compilation("analyze", uncounted):
             assert set(active_children()) == before
             fresh(1.0)
-            while not during:  # a thread starts it
-                during.update(set(active_children()) - before)
-                time.sleep(0.01)
+            during.update(set(active_children()) - before)
             if exception:
                 raise KeyboardInterrupt
 
@@ -91,23 +101,51 @@ def test_the_second_process_begins_with_the_first_compilation_and_ends_with_the_
     assert time.monotonic() - begun < 20
 
 
+def test_a_helper_that_dies_does_not_disturb_the_run(
+    fresh: Callable[[float], float], endless: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kernel_list, "compile_listed", partial(os._exit, 1))
+    with shared_compilation("analyze", uncounted):
+        assert fresh(1.0) == 2.0
+        assert fresh(1) == 2
+
+
 def test_on_one_core_no_second_process_compiles(
-    fresh: Callable[[float], float], monkeypatch: pytest.MonkeyPatch
+    fresh: Callable[[float], float], endless: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(compiling, "cores", lambda: 1)
     monkeypatch.setattr(compiling, "Processes", None)  # would raise if called
-    with model_ahead():
+    with shared_compilation("analyze", uncounted):
         fresh(1.0)
 
 
-def test_the_model_is_compiled_in_every_way_that_a_fit_needs() -> None:
-    """The laws that fits use: smooth impacts, friction, and air drag."""
-    compile_model()
-    law = engine.Setup._fields.index("law")
-    kinds = {(each[0][law].instance_class, each[1].instance_class) for each in derivatives.run_tangent.signatures}
-    smooth, rough = engine.SmoothLaw, engine.RoughLaw
-    assert kinds >= {(smooth, engine.Vacuum), (rough, engine.Vacuum), (smooth, engine.Air)}
-    assert any(each[0][law].instance_class is smooth for each in engine.run_throw.signatures)
+def test_what_the_run_compiles_is_counted(fresh: Callable[[float], float], monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments = (numba.types.float64,)
+    monkeypatch.setattr(compiling, "cores", lambda: 1)
+    monkeypatch.setattr(kernel_list, "missing", lambda run: [0, 1])
+    monkeypatch.setattr(kernel_list, "version", lambda number: (Version.of(fresh, arguments), None)[number])
+    counts: list[tuple[int, int]] = []
+    with shared_compilation("analyze", lambda *count: counts.append(count)):
+        fresh(1.0)
+    assert counts == [(0, 2), (1, 2)]
+
+
+def test_the_count_is_announced_at_the_start_and_at_each_quarter(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where there is no terminal for a bar."""
+
+    @contextmanager
+    def compiled_in_steps(run: str, report: Callable[[int, int], None]) -> Iterator[None]:
+        for done in range(9):
+            report(done, 8)
+        yield
+
+    monkeypatch.setattr(compiling, "shared_compilation", compiled_in_steps)
+    with progress_bars("analyze"):
+        pass
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [f"diethrow: compiling the kernels, once per installation: {done} of 8" for done in (0, 2, 4, 6, 8)]
 
 
 def test_an_empty_cache_is_detected(tmp_path: Path) -> None:

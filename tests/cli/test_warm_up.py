@@ -149,7 +149,8 @@ def test_warm_up_says_what_it_did_and_when_there_is_nothing_to_do(tmp_path: Path
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     run = [sys.executable, "-c", FEW]
     said = [
-        subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout.strip() for _ in range(2)
+        subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout.strip()
+        for _ in range(2)
     ]
     assert re.fullmatch(rf"[1-9]\d* kernels compiled in \d+ s by 1 process; the cache lies in {tmp_path}.*", said[0])
     assert re.fullmatch(rf"Nothing to do: all \d+ kernels are compiled; the cache lies in {tmp_path}.*", said[1])
@@ -194,6 +195,6 @@ def test_after_warm_up_no_command_compiles_anything(tmp_path: Path) -> None:
         ("lyapunov", "--orbits", "1", "--impacts", "300", "--out", tmp_path / "lyapunov"),
     ):
         run = [sys.executable, "-c", COUNTED, *map(str, words)]
-        done = subprocess.run(run, env=environment, capture_output=True, text=True)
+        done = subprocess.run(run, env=environment, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         assert "compiled: 0\n" in done.stderr, (words[0], done.stderr)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ...model.compiled import inner, compiled, inner_no_memory, inner_nogil
+from ...model.compiled import compiled, inner, inner_no_memory, inner_nogil
 from ..placed_die import (
     CLEAR_PX,
     CONTOUR_PX,

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ...model.compiled import inner, inner_no_memory, inner_nogil
+from ...model.compiled import inner, inner_no_memory
 from .kernel_types import CameraRig, FrameWindows, PoseState, Shape, Workspace
 
 LEAST_DEPTH_M = 1e-6

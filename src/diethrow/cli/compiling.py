@@ -66,11 +66,14 @@ def shared_compilation(run: str, report: Callable[[int, int], None]) -> Iterator
 def _begin_shared(run: str, report: Callable[[int, int], None], stack: ExitStack) -> Any:
     """A schedule of what is missing, and the helpers that follow it until the stack is left."""
     from ..kernel_list import Schedule, missing
+    from ..model.kernel_versions import rare_collections
 
+    stack.enter_context(rare_collections())
     schedule = Schedule(missing(run), last_first=True, report=report)
     helpers = min(cores() - 1, MOST_HELPERS)
     if helpers >= 1 and schedule.total > 1:
         processes = Processes(helpers)
+        stack.callback(processes.shutdown)
         stack.callback(processes.stop)
         # Started here and now: numba reads the environment while it compiles, which the start of a process changes for a moment.
         with suppress(RuntimeError, OSError, TimeoutError):

@@ -26,7 +26,7 @@ def progress_bars(first_run: str | None = None) -> Iterator[Callable[[str, int, 
     counts the kernels.
     """
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     from .compiling import shared_compilation
 
