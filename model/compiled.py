@@ -50,7 +50,9 @@ def compiled(function: Callable[..., Any] | None = None, *, shared: bool = False
 
 def _call_without_literals(template: Callable[..., Any], arguments: Any, named: Any) -> Any:
     """numba's choice of a version for a call from a kernel, where a literal such as -1 is an integer as any other."""
-    return template(tuple(map(types.unliteral, arguments)), {name: types.unliteral(each) for name, each in named.items()})
+    return template(
+        tuple(map(types.unliteral, arguments)), {name: types.unliteral(each) for name, each in named.items()}
+    )
 
 
 inner: Any = partial(compiled, no_cpython_wrapper=True)

@@ -53,4 +53,4 @@ def test_the_wheel_holds_every_file_of_the_tree(tmp_path: Path) -> None:
     (wheel,) = (tmp_path / "wheel").glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         held = {name for name in archive.namelist() if ".dist-info/" not in name}
-    assert held == files_of_packages().keys() | {"diethrow/py.typed"}
+    assert held == files_of_packages().keys() | {"diethrow/py.typed", "diethrow/kernels.json"}
