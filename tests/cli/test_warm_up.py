@@ -13,8 +13,10 @@ from threading import Event
 
 import numba
 import pytest
+from typer.testing import CliRunner
 
 from diethrow import kernel_list
+from diethrow.cli.app import app
 from diethrow.executors import Processes
 from diethrow.kernel_list import Schedule, compile_listed, needed, version
 from diethrow.model.kernel_versions import Version, decode, encode
@@ -154,6 +156,13 @@ def test_warm_up_says_what_it_did_and_when_there_is_nothing_to_do(tmp_path: Path
     ]
     assert re.fullmatch(rf"[1-9]\d* kernels compiled in \d+ s by 1 process; the cache lies in {tmp_path}.*", said[0])
     assert re.fullmatch(rf"Nothing to do: all \d+ kernels are compiled; the cache lies in {tmp_path}.*", said[1])
+
+
+def test_warm_up_refuses_to_work_where_nothing_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
+    done = CliRunner().invoke(app, ["warm-up"])
+    assert done.exit_code == 1
+    assert "NUMBA_DISABLE_JIT is set" in done.stderr
 
 
 COUNTED = """

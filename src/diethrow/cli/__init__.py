@@ -2,7 +2,7 @@
 
 `app` holds the program itself, `options` what commands share, `errors` how a failure becomes one sentence and an exit
 status; `clip_commands`, `model_commands` and `result_commands` define one function a command; `printing` and `progress`
-write what a command reports, `compiling` announces the first compilation and shares it with a second process. Every command
+write what a command reports, `compiling` announces the first compilation and shares it with other processes. Every command
 imports what it needs when it runs.
 """
 

@@ -9,8 +9,11 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+import numba
+
 from ...executors import Processes, cores
 from ...kernel_list import Schedule, cache_folder, missing, needed
+from ...model.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -32,8 +35,11 @@ class WarmUp:
 def warm_up(processes: int | None = None, report: Callable[[str, int, int], None] | None = None) -> WarmUp:
     """Compile all kernels that the commands need and the cache does not have, with one process per core by default.
 
-    `report` is called with the stage, the number of kernels compiled and their total. Raises InputError below one process.
+    `report` is called with the stage, the number of kernels compiled and their total. Raises InputError below one process, and
+    if NUMBA_DISABLE_JIT forbids to compile.
     """
+    if numba.config.DISABLE_JIT:
+        raise InputError("NUMBA_DISABLE_JIT is set: nothing is compiled; unset it for warm-up")
     begin = time.monotonic()
     workers = cores() if processes is None else processes
     total, lacking = len(needed()), missing()
