@@ -1,33 +1,46 @@
 """Time to write a recording, and its size, for 260 frames (a usual clip) and 600.
 
     PYTHONPATH=tests/helpers python benchmarks/recording.py
+    PYTHONPATH=tests/helpers python benchmarks/recording.py --presets
 
 The clip is grey noise with the contrast of a wooden board and a moving square, which AV1 compresses about as well as a real
 clip. The same recording without the clip gives the time of everything else. Each time is the best of three.
+
+With `--presets` the clips in data_samples are encoded at each preset of SVT-AV1: processor time and bytes in those of preset 8,
+and the difference of the peak signal-to-noise ratio [dB], medians and ranges over the clips.
 """
 
 from __future__ import annotations
 
+import io
+import sys
 import tempfile
 import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from unittest import mock
 
+import av
 import numpy as np
 import replay_records as made
-from measuring import timed
+from measuring import spread, timed
 
+from diethrow.commands.clip.footage import open_footage
+from diethrow.files.scene import read_scene
 from diethrow.files.throw_records import simulated_track
 from diethrow.fitting.results import Fit
 from diethrow.model.laws import SmoothImpact
 from diethrow.model.throw.motion import State
 from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.replay.elements import video
 from diethrow.replay.elements.record import Record
 from diethrow.replay.recording.throw_recording import write_recording
 from diethrow.tracking.track import Track
 
 FPS = 1500.0
+SAMPLES = Path(__file__).parents[1] / "data_samples"
+PRESETS = ("8", "9", "10", "11", "12", "13")
 SIDE_PX = 384
 SQUARE_PX = 60
 
@@ -70,8 +83,44 @@ def seconds_for(record: Record, path: Path) -> float:
     return min(timed(partial(write_recording, path, record), time.perf_counter)[1] for _ in range(3))
 
 
+def print_presets() -> None:
+    """A line for each preset."""
+    clips = [
+        open_footage(scene, scene.views()[0])
+        for path in sorted(SAMPLES.glob("*/scene.toml"))
+        for scene in [read_scene(path)]
+    ]
+    # In memory, so that decoding the clips takes no time here.
+    films = [made.ArrayClip(np.stack(list(clip.frames())), clip.times_s, clip.bit_depth) for clip in clips]
+    usual: list[tuple[float, int, float]] = []
+    print("preset  time                 bytes                dB")
+    for preset in PRESETS:
+        with mock.patch.object(video, "AV1_PRESET", preset):
+            found = [encoded(film) for film in films]
+        usual = usual or found
+        pairs = list(zip(found, usual, strict=True))
+        times, sizes = [a[0] / b[0] for a, b in pairs], [a[1] / b[1] for a, b in pairs]
+        worse = [a[2] - b[2] for a, b in pairs]
+        print(f"{preset:>6}  {spread(times, 2):20} {spread(sizes, 3):20} {spread(worse, 2)}", flush=True)
+
+
+def encoded(film: made.ArrayClip) -> tuple[float, int, float]:
+    """Processor time [s], the best of three, bytes, and peak signal-to-noise ratio [dB] of a clip as video."""
+    window = video.display_window(film)
+    data, seconds = min((timed(partial(video.encode_av1, film, window)) for _ in range(3)), key=lambda each: each[1])
+    squares = []
+    with av.open(io.BytesIO(data)) as container:
+        for picture, shown in zip(container.decode(video=0), film.array, strict=True):
+            levels = picture.to_ndarray(format="gray")[: film.height_px, : film.width_px].astype(float)
+            squares.append(np.mean((levels - window.apply(shown)) ** 2))
+    return seconds, len(data), float(10.0 * np.log10(255.0**2 / np.mean(squares)))
+
+
 def main() -> None:
-    """A line for each length."""
+    """A line for each length, or for each preset."""
+    if sys.argv[1:] == ["--presets"]:
+        print_presets()
+        return
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "replay.rrd"
         for frames in (260, 600):

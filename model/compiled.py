@@ -11,9 +11,8 @@ the time is numba's own work on types and code, for each set of argument types. 
 - No `a[:] = b` for arrays in kernels that every throw needs. Its check of shapes formats strings, which takes some seconds in
   the first file that has it. A loop takes a tenth of a second.
 - No machine code for what only kernels call: `inner` kernels are copied into their callers.
-- One machine code for a large kernel that several kernels call: `@inner(shared=True)`. Copied into its callers, the comparison of
-  a surface with its picture was optimised seven times, which took a quarter of the first run. A call costs some 50 ns, so small
-  kernels are better copied.
+- One machine code for a large kernel that several kernels call: `@inner(shared=True)`. Copied into its callers, it would be
+  optimised in each of them. A call takes its time, too, so small kernels are better copied.
 
 After a change of kernels or of their arguments, `python benchmarks/kernel_list.py` writes the list of them.
 """

@@ -2,8 +2,8 @@
 
 numba gives every compiled function a *library*: a module of LLVM code and the machine code made of it. The module of a caller
 contains a copy of each callee, and of all that these call, so that small functions can be merged into their callers. numba also
-makes machine code of each callee by itself. Two thirds of the time that LLVM takes for this package go into code that is never
-run, or was already made. Three kinds of libraries avoid this:
+makes machine code of each callee by itself. Much of the time that LLVM takes goes into code that is never run, or was already
+made. Three kinds of libraries avoid this:
 
 - `EntryLibrary`: the kernel is called from Python. As numba's, in all but the environments, see there.
 - `LinkedLibrary`: only kernels call the kernel. It is copied into its callers, and has no machine code of its own.
@@ -82,8 +82,8 @@ class MissingCodeError(RuntimeError):
 class EntryLibrary(JITCodeLibrary):
     """The library of a kernel that Python calls.
 
-    numba tells each function's machine code where its environment (constants that are Python objects) lies. Kernels that have
-    no machine code of their own are told within their callers' code, here.
+    The machine code of each function holds where its environment (constants that are Python objects) lies, which numba writes
+    into it. The code of a kernel that is copied into this one holds it here.
     """
 
     KIND = "entry"

@@ -107,7 +107,7 @@ class Share:
             return 0.0, 1.0
         if not 0 <= self.count <= self.of:
             raise ValueError(f"a count of {self.count} in a total of {self.of}: wanted 0 to {self.of}")
-        # `scipy.stats.binomtest` gives the same (a test compares them), and takes half a second to load.
+        # `scipy.stats.binomtest` gives the same, and takes half a second to load.
         n, p, z = self.of, self.count / self.of, float(ndtri(0.5 + 0.5 * self.level))
         centre, half = p + z * z / (2 * n), z * sqrt(p * (1.0 - p) / n + z * z / (4.0 * n * n))
         shrunk = 1.0 + z * z / n

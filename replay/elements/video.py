@@ -18,9 +18,8 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -47,8 +46,10 @@ whose neighbouring frames hardly differ."""
 JPEG_QUALITY = 90
 THREADS = Path("/proc/self/task")
 """Where Linux lists the threads of this process; the priorities below are a problem on Linux only."""
-VIDEO_BLACK, VIDEO_WHITE, NO_COLOUR = 16.0, 235.0, 128
-"""Levels of black, white and of grey's chroma in a video of 8 bits (ITU-R BT.601)."""
+LUMA = np.rint(16.0 + 219.0 / 255.0 * np.arange(256)).astype(np.uint8)
+"""(256,) level in a video of 8 bits of each grey level: black is 16 and white 235 (ITU-R BT.601)."""
+NO_COLOUR = 128
+"""Level of grey's chroma there."""
 WINDOW_PERCENTILES = (0.1, 99.9)
 """Grey levels shown as black and white: beyond them lie glare and defective pixels."""
 WINDOW_FRAMES = 16
@@ -68,25 +69,8 @@ class Window:
         """The frame in 8 bits."""
         if frame.dtype == np.uint8 and (self.black, self.white) == (0.0, 255.0):
             return np.asarray(frame, np.uint8)
-        return np.asarray(_display_levels(self, frame.dtype)[frame])
-
-    def video_levels(self, frame: Frame) -> NDArray[np.uint8]:
-        """The frame in the levels of a video: black is 16 and white 235 (ITU-R BT.601)."""
-        return np.asarray(_video_levels(self, frame.dtype)[frame])
-
-
-@lru_cache(maxsize=4)
-def _display_levels(window: Window, dtype: np.dtype[Any]) -> NDArray[np.uint8]:
-    """(levels,) what every grey level of a frame becomes: a table takes a fifth of the time of the arithmetic."""
-    levels = np.arange(np.iinfo(dtype).max + 1, dtype=np.float32)
-    return np.clip(np.rint((levels - window.black) * (255.0 / (window.white - window.black))), 0, 255).astype(np.uint8)
-
-
-@lru_cache(maxsize=4)
-def _video_levels(window: Window, dtype: np.dtype[Any]) -> NDArray[np.uint8]:
-    """The same for a video."""
-    shown = _display_levels(window, dtype).astype(np.float32)
-    return np.rint(VIDEO_BLACK + (VIDEO_WHITE - VIDEO_BLACK) / 255.0 * shown).astype(np.uint8)
+        scaled = (frame.astype(np.float32) - self.black) * (255.0 / (self.white - self.black))
+        return np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
 
 
 def display_window(clip: Clip) -> Window:
@@ -134,7 +118,7 @@ def encode_av1(clip: Clip, window: Window, stop: threading.Event | None = None) 
         for number, frame in enumerate(_shown_frames(clip)):
             if stop is not None and stop.is_set():
                 raise CancelledError
-            planes[:height] = np.pad(window.video_levels(frame), margin, mode="edge")
+            planes[:height] = np.pad(cv2.LUT(window.apply(frame), LUMA), margin, mode="edge")
             picture = av.VideoFrame.from_ndarray(planes, format="yuv420p")
             picture.pts, picture.time_base = number, Fraction(1, NOMINAL_FPS)
             video.mux(stream.encode(picture))
@@ -153,7 +137,7 @@ class VideoEncoding:
         """`open_clip` opens the clip for this thread alone; `timed` measures the stage "video"."""
         self._open, self._timed = open_clip, timed or (lambda name: nullcontext())
         self._stop = threading.Event()
-        self._thread = ThreadPoolExecutor(1, "encoder")
+        self._thread = ThreadPoolExecutor(1)
         self._video = self._thread.submit(self._encoded) if can_encode_av1() else None
 
     @property
@@ -174,6 +158,7 @@ class VideoEncoding:
         self._thread.shutdown(cancel_futures=True)
 
     def _encoded(self) -> bytes:
+        threading.current_thread().name = "encoder"
         with self._timed("video"):
             clip = self._open()
             return encode_av1(clip, display_window(clip), self._stop)

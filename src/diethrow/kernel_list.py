@@ -22,7 +22,7 @@ FILE = Path(__file__).parent / "kernels.json"
 FIRST_RUN = "analyze"
 """What the list calls the kernels of the first analysis."""
 BATCH_S = 0.5
-"""Processor time [s] of what a process is given at once. It waits a few milliseconds for each batch."""
+"""Processor time [s] of what a process is given at once: long against the way to it and back."""
 
 
 @cache

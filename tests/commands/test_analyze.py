@@ -257,3 +257,18 @@ def test_the_provenance_names_every_input(folder: Path) -> None:
     assert view.background_path is not None
     assert named == {"scene.toml", view.path.name, view.background_path.name}
     assert set(origin["timings_s"]) == {"open", "track", "bounces", "fit", "estimates", "replay", "report"}
+
+
+def test_the_time_line_has_every_stage_of_every_thread(folder: Path) -> None:
+    """Stages of the main thread follow each other and last as `timings_s` says; the film is encoded beside them."""
+    origin = json.loads((folder / "provenance.json").read_text())
+    line = origin["time_line"]
+    main = [row for row in line if row["thread"] == "main"]
+    assert {row["stage"]: row["wall_s"] for row in main} == origin["timings_s"]
+    for row, after in itertools.pairwise(main):
+        assert row["start_s"] + row["wall_s"] <= after["start_s"] + 1e-3
+    (video,) = [row for row in line if row["thread"] != "main"]
+    assert (video["stage"], video["thread"]) == ("video", "encoder")
+    track = next(row for row in main if row["stage"] == "track")
+    assert video["start_s"] < track["start_s"] + track["wall_s"]
+    assert all(0.0 <= row["processor_s"] <= row["wall_s"] + 0.05 for row in line)

@@ -123,6 +123,22 @@ def test_the_numbers_are_the_same_in_any_order_and_in_other_processes(
     assert backwards == forwards
 
 
+def test_clips_without_results_are_begun_before_the_bytes_of_others_are_compared(
+    scenes: list[Path], done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, happened = tmp_path / "out", []
+    shutil.copytree(done, out)
+    shutil.rmtree(out / "part")
+    batch_of = diethrow.commands.clip.batch
+    compare, begin = batch_of.is_finished, InLine.submit
+    monkeypatch.setattr(batch_of, "is_finished", lambda task: happened.append("compared") or compare(task))
+    monkeypatch.setattr(InLine, "submit", lambda *call: happened.append("begun") or begin(*call))
+    track(scenes, out, InLine())
+    assert happened[0] == "begun"
+    assert "compared" in happened
+    assert numbers_in(out) == numbers_in(done)
+
+
 def test_a_finished_clip_is_analysed_again_only_after_a_change(
     scenes: list[Path], done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

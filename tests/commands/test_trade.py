@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 from diethrow.commands.clip import analyze as analyses
 from diethrow.commands.clip import trade as trades
 from diethrow.commands.clip.trade import read_trade, setting_for, trade
+from diethrow.files.provenance import InputChangedError
 from diethrow.files.scene import read_scene
 from diethrow.replay.pages.trade import Setting, Trade, fastest_within, trade_page
 from diethrow.tracking.footage.decimation import Decimation
@@ -108,7 +110,7 @@ def test_a_setting_is_chosen_from_measurements(measured: tuple[Trade, Path]) -> 
     best = fastest_within(found.of("tracking"), 0.3)
     assert best is not None
     chosen = setting_for(read_scene(SAMPLE), 0.3, out / "trade.json")
-    assert (chosen.quality, chosen.decimation, chosen.tracking) == (*best.choice, None)
+    assert (chosen.quality, chosen.decimation, chosen.tracked) == (*best.choice, None)
     assert best.choice in {("fast", Decimation(4, 2)), ("fast", Decimation(1, 1))}
     with pytest.raises(ValueError, match="no setting in it gives χ"):
         setting_for(read_scene(SAMPLE), 1e-9, out / "trade.json")
@@ -121,13 +123,28 @@ def test_a_clip_that_was_tracked_to_choose_a_setting_is_not_tracked_again(
     scene = read_scene(SAMPLE)
     monkeypatch.setattr(trades, "LADDER", (("fast", 4, 2),))
     chosen = setting_for(scene, 0.9)
-    assert chosen.tracking is not None
+    assert chosen.tracked is not None
     options: dict[str, Any] = {"quality": QUALITIES[chosen.quality], "decimation": chosen.decimation}
     analyses.analyze(scene, tmp_path / "alone", **options)
     monkeypatch.setattr(analyses, "track_scene", None)
-    analyses.analyze(scene, tmp_path / "reused", tracked=chosen.tracking, **options)
+    analyses.analyze(scene, tmp_path / "reused", tracked=chosen.tracked, **options)
     for name in ("track.csv", "track_frames.csv", "bounces.csv", "fit.json"):
         assert (tmp_path / "alone" / name).read_bytes() == (tmp_path / "reused" / name).read_bytes(), name
+
+
+def test_a_clip_that_changed_since_a_setting_was_chosen_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "scene"
+    shutil.copytree(SAMPLE.parent, folder)
+    scene = read_scene(folder / "scene.toml")
+    monkeypatch.setattr(trades, "LADDER", (("fast", 4, 2),))
+    chosen = setting_for(scene, 0.9)
+    with (folder / "scene.toml").open("a") as file:
+        file.write("\n# another\n")
+    with pytest.raises(InputChangedError, match=r"scene\.toml"):
+        analyses.analyze(scene, tmp_path / "out", tracked=chosen.tracked, decimation=chosen.decimation)
+    assert not (tmp_path / "out").exists()
 
 
 def test_another_json_file_is_refused(tmp_path: Path) -> None:

@@ -58,11 +58,14 @@ class Stages(NamedTuple):
     violation: Array
     """r (N, 4)."""
 
-    @staticmethod
-    def empty(count: int, d: int) -> Stages:
-        """So many links, all zero."""
-        shapes = ((d, d), (d, MAX_LINK_SIZE), (4, d), (4, MAX_LINK_SIZE), (4,))
-        return Stages(np.zeros(count, np.int64), *(np.zeros((count, *shape)) for shape in shapes))
+
+@compiled(nogil=True)
+def empty_stages(count: int, d: int) -> Stages:
+    """So many links, all zero, for states of d numbers."""
+    return Stages(
+        np.zeros(count, np.int64), np.zeros((count, d, d)), np.zeros((count, d, MAX_LINK_SIZE)),
+        np.zeros((count, 4, d)), np.zeros((count, 4, MAX_LINK_SIZE)), np.zeros((count, 4)),
+    )  # fmt: skip
 
 
 class LinkResponses(NamedTuple):
@@ -75,11 +78,14 @@ class LinkResponses(NamedTuple):
     inverse: Array
     """Q⁻¹ (N, MAX_LINK_SIZE, MAX_LINK_SIZE)."""
 
-    @staticmethod
-    def empty(count: int, d: int) -> LinkResponses:
-        """Of so many links, all zero."""
-        shapes = ((MAX_LINK_SIZE, d), (MAX_LINK_SIZE,), (MAX_LINK_SIZE, MAX_LINK_SIZE))
-        return LinkResponses(*(np.zeros((count, *shape)) for shape in shapes))
+
+@compiled(nogil=True)
+def _empty_responses(count: int, d: int) -> LinkResponses:
+    """Of so many links, all zero."""
+    return LinkResponses(
+        np.zeros((count, MAX_LINK_SIZE, d)), np.zeros((count, MAX_LINK_SIZE)),
+        np.zeros((count, MAX_LINK_SIZE, MAX_LINK_SIZE)),
+    )  # fmt: skip
 
 
 @compiled(nogil=True)
@@ -90,10 +96,7 @@ def solve_chain(normal: Array, gradient: Array, stages: Stages, damping: float) 
     """
     count, d = len(stages.sizes), normal.shape[1]
     P, p = normal[count].copy(), gradient[count].copy()
-    responses = LinkResponses(
-        np.zeros((count, MAX_LINK_SIZE, d)), np.zeros((count, MAX_LINK_SIZE)),
-        np.zeros((count, MAX_LINK_SIZE, MAX_LINK_SIZE)),
-    )  # fmt: skip
+    responses = _empty_responses(count, d)
     _backward_pass(normal, gradient, stages, damping, P, p, responses)
     first, changes = np.zeros(d), np.zeros((count, MAX_LINK_SIZE))
     _forward_pass(P, p, stages, damping, responses, first, changes)
@@ -109,7 +112,7 @@ def chain_covariance(normal: Array, noises: Array, stages: Stages) -> tuple[Arra
     """
     count, d = len(stages.sizes), normal.shape[1]
     P, p = normal[-1].copy(), np.zeros(d)
-    K, _, inverse = responses = LinkResponses.empty(count, d)
+    K, _, inverse = responses = _empty_responses(count, d)
     _backward_pass(normal, np.zeros((count + 1, d)), stages, 0.0, P, p, responses)
     A, R = stages.by_state + stages.by_link @ K, stages.impact_by_state + stages.impact_by_link @ K
     later_noise = np.empty_like(normal)

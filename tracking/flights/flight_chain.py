@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from ...model.throw import Flight, State
 from . import flight_kernels as kernels
-from .chain_solver import MAX_LINK_SIZE, Stages, chain_covariance
+from .chain_solver import MAX_LINK_SIZE, Stages, chain_covariance, empty_stages
 from .descent import CONTACT_SIGMA_M as CONTACT_SIGMA_M
 from .descent import CUTOFF_SIGMAS as CUTOFF_SIGMAS
 from .descent import (
@@ -367,7 +367,7 @@ class _Unknowns:
         """Normal equations of the flights, the priors included in those of the first, and the links between."""
         count, size = len(self.links), 12 + len(self.values.constants)
         normal, gradient = np.zeros((count + 1, size, size)), np.zeros((count + 1, size))
-        stages = Stages.empty(count, size)
+        stages = empty_stages(count, size)
         chain_equations(self.data, self.values, trajectory, weights, self.share, normal, gradient, stages)
         return normal, gradient, stages
 

@@ -31,6 +31,7 @@ from ...model.world import GRAVITY_M_S2
 from ..covariance import SINGULAR_EIGENVALUE
 from . import flight_kernels as kernels
 from .flight_kernels import FrameInformation, PoseArrays
+from .turning import fill_spin_rates
 
 Array = NDArray[np.float64]
 
@@ -296,11 +297,11 @@ def transition_matrix(flight: Flight, time_s: float) -> Array:
     return np.asarray(transition_matrices(flight, np.array([time_s]))[0])
 
 
-def spin_rates(turning: TorqueFree, states: Array) -> Array:
-    """ω̇ (n, 3) [rad/s²] of a body in flight with packed states (n, 14): K⁻¹ (K ω × ω) with the tensor K in world axes."""
-    rotation = matrix_from_quat(quat_multiply(states[:, 4:8], turning.axes))
-    spin = np.einsum("nji,nj->ni", rotation, states[:, 11:14])
-    return np.einsum("nij,nj->ni", rotation, np.cross(turning.moments * spin, spin) / turning.moments)
+def spin_rates(turning: Turning, states: Array) -> Array:
+    """ω̇ (n, 3) [rad/s²] of a body in flight with packed states (n, 14)."""
+    rates = np.empty((len(states), 3))
+    fill_spin_rates(turning, np.ascontiguousarray(states), rates)
+    return rates
 
 
 def spin_jumps(observations: WeightedPoses, starts: Sequence[State], times_s: Array) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from ...model.compiled import inner
+from ...model.compiled import compiled, inner
 from ...model.engine.asymmetric import (
     EvenTurning,
     TorqueFree,
@@ -201,6 +201,13 @@ def _mean_omega_of(turning: Any, times: Any, quaternions: Any, middle: Any) -> A
 @overload(spin_rate_of, strict=False)
 def _spin_rate_of(turning: Any, state: Any) -> Any:
     return (_free_spin_rate if turning.instance_class is TorqueFree else _even_spin_rate).py_func
+
+
+@compiled(nogil=True)
+def fill_spin_rates(turning: Turning, states: Array, out: Array) -> None:
+    """Fill ω̇ (n, 3) of packed states (n, 14)."""
+    for k in range(len(states)):
+        out[k, 0], out[k, 1], out[k, 2] = spin_rate_of(turning, states[k])
 
 
 # --- rotations ---

@@ -140,14 +140,14 @@ def noise_beside_die(image: Image, background: Image, noise_grey: float) -> floa
     smooth, such as a shadow; 0 if there is none. A codec repeats a still background without any noise, and leaves its errors
     about what moves."""
     mask = differs_from_background(image, background, noise_grey)
-    box, _ = _about(mask, SMOOTHED_PX)
+    box = _about(mask, SMOOTHED_PX)
     opened = cv2.morphologyEx(mask[box].astype(np.uint8), cv2.MORPH_OPEN, np.ones((SMOOTHED_PX, SMOOTHED_PX), np.uint8))
     count, parts, stats, _ = cv2.connectedComponentsWithStats(opened)
     if count < 2:
         return 0.0
     whole = np.zeros(mask.shape, bool)
     whole[box] = parts == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
-    box, _ = _about(whole, max(RING_PX) + ROUGH_PX)
+    box = _about(whole, max(RING_PX) + ROUGH_PX)
     region = whole[box].astype(np.uint8)
     near, far = (
         cv2.dilate(region, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1)))
@@ -158,12 +158,12 @@ def noise_beside_die(image: Image, background: Image, noise_grey: float) -> floa
     return NORMAL_MAD * float(np.median(rough)) if len(rough) >= LEAST_RING_PX else 0.0
 
 
-def _about(mask: Mask, margin_px: int) -> tuple[tuple[slice, slice], tuple[int, int]]:
-    """The part of a picture that shows all of a mask with a margin, and its upper left pixel x, y: most of a picture is
-    background, and need not be looked through for regions."""
+def _about(mask: Mask, margin_px: int) -> tuple[slice, slice]:
+    """The rows and columns of a picture that show all of a mask with a margin: most of a picture is background, and need not be
+    looked through for regions."""
     x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
     x0, y0 = max(x - margin_px, 0), max(y - margin_px, 0)
-    return np.s_[y0 : y + h + margin_px, x0 : x + w + margin_px], (x0, y0)
+    return np.s_[y0 : y + h + margin_px, x0 : x + w + margin_px]
 
 
 def differs_from_background(image: Image, background: Image, noise_grey: float, level_grey: float = 1.0) -> Mask:
@@ -216,7 +216,8 @@ def without_rims(image: Image, background: Image, mask: Mask, lit: Mask) -> Mask
 
 def largest_blob(mask: Mask, holes_px: int = 7) -> Blob | None:
     """The largest connected region of at least LEAST_BLOB_PX, holes and specks smoothed away; None if there is none."""
-    part, (x0, y0) = _about(mask, SMOOTHED_PX + holes_px)
+    part = _about(mask, SMOOTHED_PX + holes_px)
+    y0, x0 = part[0].start, part[1].start
     clean = cv2.morphologyEx(mask[part].astype(np.uint8), cv2.MORPH_OPEN, np.ones((SMOOTHED_PX, SMOOTHED_PX), np.uint8))
     clean = cv2.morphologyEx(clean, cv2.MORPH_CLOSE, np.ones((holes_px, holes_px), np.uint8))
     count, _, stats, centres = cv2.connectedComponentsWithStats(clean)

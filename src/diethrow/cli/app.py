@@ -28,8 +28,8 @@ app = typer.Typer(
 
 
 COLLECTION_THRESHOLDS = (100_000, 20, 100)
-"""Of Python's garbage collector. The libraries make a million objects that live until the end, and to look through them again and
-again takes a tenth of a short run; frames and arrays are freed without it."""
+"""Of Python's garbage collector. The libraries make objects that live until the end, and to look through them again and again
+takes half a second of an analysis; frames and arrays are freed without it."""
 
 
 def main() -> None:

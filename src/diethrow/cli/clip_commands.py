@@ -100,7 +100,7 @@ def analyze(
                 chosen = setting_for(checked, chi_within, trade_file, progress)
                 less = chosen.decimation
                 # What was tracked to choose the setting has the times as they are usually corrected.
-                tracked = chosen.tracking if timing == "corrected" else None
+                tracked = chosen.tracked if timing == "corrected" else None
                 options = replace(options, quality=chosen.quality, every=less.every, shrink=less.shrink)
                 print_setting(chi_within, options)
         with progress_bars("analyze") as progress:

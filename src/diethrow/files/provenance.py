@@ -184,6 +184,13 @@ def unchanged_inputs(inputs: Iterable[Path]) -> Iterator[Inputs]:
         raise InputChangedError(changed)
 
 
+def demand_same(before: Iterable[InputFile], now: Iterable[InputFile]) -> None:
+    """Raises InputChangedError for the first file that is not as it was."""
+    for old, new in zip(before, now, strict=True):
+        if old != new:
+            raise InputChangedError(_changed(new.path))
+
+
 def _file_read(path: Path, before: os.stat_result, stop: threading.Event | None = None) -> InputFile:
     try:
         digest, after = sha256(path, stop), path.stat()

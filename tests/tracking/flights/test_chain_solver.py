@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from diethrow.tracking.flights.chain_solver import MAX_LINK_SIZE, Stages, chain_covariance, solve_chain
+from diethrow.tracking.flights.chain_solver import MAX_LINK_SIZE, chain_covariance, empty_stages, solve_chain
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ class Chain:
         rows = rng.normal(size=(count + 1, 30, D))
         self.normal = np.swapaxes(rows, 1, 2) @ rows
         self.gradient = rng.normal(size=(count + 1, D))
-        self.stages = Stages.empty(count, D)
+        self.stages = empty_stages(count, D)
         for k in range(count):
             size = 12 if k % 3 == 2 else 7
             self.stages.sizes[k] = size

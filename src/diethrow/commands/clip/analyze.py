@@ -13,7 +13,7 @@ from ...executors import loaded_ahead, one_thread
 from ...files.analysis_folder import AnalysedThrow, write_values
 from ...files.csv_and_json import read_json
 from ...files.outputs import whole_folder
-from ...files.provenance import Stopwatch, unchanged_inputs
+from ...files.provenance import Stopwatch, demand_same, unchanged_inputs
 from ...files.scene import Scene
 from ...fitting.results import Choices, IntervalMethod
 from ...replay.elements import Record, ReportDetails, VideoEncoding
@@ -24,7 +24,15 @@ from ...tracking.quality import STANDARD, Quality
 from ...tracking.timing import Timing
 from .fit import estimate_sequentially, model_track, record_replay, run_fit, write_pages
 from .footage import first_clip
-from .track import check_scene, input_paths, origin_table, same_command, track_scene, write_origin
+from .track import (
+    EarlierTracking,
+    check_scene,
+    input_paths,
+    origin_table,
+    same_command,
+    track_scene,
+    write_origin,
+)
 
 WRITERS = ("diethrow.replay.recording", "diethrow.replay.pages")
 """Loaded in a thread while frames are tracked: Rerun takes a third of a second."""
@@ -42,16 +50,16 @@ def analyze(
     timing: Timing = "corrected",
     progress: Progress = silent,
     command: tuple[str, ...] = (),
-    tracked: Tracking | None = None,
+    tracked: EarlierTracking | None = None,
 ) -> AnalysedThrow:
     """Everything from clip to replay, written to the folder `out`.
 
     `decimation` leaves out frames, or makes the pictures smaller; `intervals` says where those of the parameters come
     from; `shown` what is drawn besides; `timing` whether the times of missing and repeated frames are corrected; `command`
     is repeated in the provenance, and left out it is the one that would do the same; `tracked` is what the scene's clips gave
-    with these settings, if they were tracked before. Raises SceneError for a scene that
-    cannot be analysed, RunError for a clip without a die, OutputExistsError for a folder that exists (unless `force`); then
-    no folder is left.
+    with these settings, if they were tracked before. Raises SceneError for a scene that cannot be analysed, RunError for a clip
+    without a die, InputChangedError if a file has changed meanwhile, OutputExistsError for a folder that exists (unless `force`);
+    then no folder is left.
     """
     watch = Stopwatch()
     check_scene(scene)
@@ -64,7 +72,11 @@ def analyze(
         loaded_ahead(*WRITERS),
         VideoEncoding(lambda: first_clip(scene, decimation), watch.stage) as encoding,
     ):
-        tracking = tracked or track_scene(scene, progress, watch, quality, decimation=decimation, timing=timing)
+        if tracked is None:
+            tracking = track_scene(scene, progress, watch, quality, decimation=decimation, timing=timing)
+        else:
+            tracking = tracked.tracking
+            demand_same(tracked.files, inputs.files)
         found = _fitted(scene, tracking, decimation, intervals, progress, watch)
         write_values(folder, found)
         record_replay(folder, found.record, progress, watch, encoding if encoding.available else None)

@@ -148,9 +148,11 @@ def run_batch(
     with locked(out):
         out.mkdir(parents=True, exist_ok=True)
         ledger = _Ledger(out, tasks, progress)
-        new = [task for task in tasks if not task.folder.exists()]
         # Clips without a folder come first: the bytes of the others are compared while the workers are busy with these.
-        others = (task for task in tasks if task not in new and not ledger.found(task))
+        made = [task for task in tasks if task.folder.exists()]
+        known = set(made)
+        new = [task for task in tasks if task not in known]
+        others = (task for task in made if not ledger.found(task))
         ledger.write()
         if executor is not None:
             ledger.take(_worked(chain(new, others), executor))

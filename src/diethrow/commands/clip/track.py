@@ -16,7 +16,7 @@ from ...files.analysis_folder import write_tracked
 from ...files.csv_and_json import write_json
 from ...files.measured_throw import TrackedThrow
 from ...files.outputs import whole_folder
-from ...files.provenance import Inputs, Stopwatch, provenance_table, unchanged_inputs
+from ...files.provenance import InputFile, Inputs, Stopwatch, provenance_table, unchanged_inputs
 from ...files.scene import Scene
 from ...files.settings import SceneError, refuse
 from ...fitting.results import IntervalMethod
@@ -40,6 +40,14 @@ from ...tracking.throw import CalibrationErrors, NoFlightError, flights_only, me
 from ...tracking.timing import ClipClock, TimedTracking, Timing, clip_at_times, track_clip_in_time
 from ...tracking.track import ABSENT, LOST, Track
 from .footage import open_background, open_footage, readout_of_frames
+
+
+@dataclass(frozen=True, eq=False)
+class EarlierTracking:
+    """What a scene's clips gave before, and the files that it was tracked from."""
+
+    tracking: Tracking
+    files: tuple[InputFile, ...]
 
 
 @dataclass(frozen=True, eq=False)

@@ -54,7 +54,7 @@ from ...tracking.footage import WHOLE_CLIP, Decimation
 from ...tracking.quality import QUALITIES, STANDARD, Quality
 from ...tracking.throw import frames_in_flight
 from ...tracking.track import Track
-from .track import check_scene, input_paths, track_scene
+from .track import EarlierTracking, check_scene, input_paths, track_scene
 
 Array = NDArray[np.float64]
 
@@ -162,7 +162,7 @@ class ChosenSetting:
 
     quality: str
     decimation: Decimation
-    tracking: Tracking | None = None
+    tracked: EarlierTracking | None = None
     """What it tracked, if that was needed to choose it: the clip need not be tracked again."""
 
 
@@ -178,19 +178,20 @@ def setting_for(
     if measured is not None:
         return ChosenSetting(*setting_from(measured, within))
     narrowest: float | None = None
-    for k, (quality, every, shrink) in enumerate(LADDER):
-        progress("Choosing a setting", k, len(LADDER))
-        try:
-            with one_thread():
+    with one_thread(), unchanged_inputs(input_paths(scene)) as inputs:
+        for k, (quality, every, shrink) in enumerate(LADDER):
+            progress("Choosing a setting", k, len(LADDER))
+            try:
                 run = track_and_fit(scene, QUALITIES[quality], Decimation(every, shrink))
-        except RunError:
-            if k == len(LADDER) - 1:
-                raise
-            continue
-        width = setting_of(*named((quality, every, shrink)), run, None, None).half_width
-        if width is not None and width <= 0.5 * within:
-            return ChosenSetting(quality, Decimation(every, shrink), run.tracking)
-        narrowest = min(width, narrowest or np.inf) if width is not None else narrowest
+            except RunError:
+                if k == len(LADDER) - 1:
+                    raise
+                continue
+            width = setting_of(*named((quality, every, shrink)), run, None, None).half_width
+            if width is not None and width <= 0.5 * within:
+                tracked = EarlierTracking(run.tracking, inputs.files)
+                return ChosenSetting(quality, Decimation(every, shrink), tracked)
+            narrowest = min(width, narrowest or np.inf) if width is not None else narrowest
     reached = "leaves χ undetermined" if narrowest is None else f"gives ±{narrowest:.2g}"
     raise InputError(
         f"{scene.path}: no setting determines χ to ±{within:g}, the best {reached}; film more bounces, or widen --chi-within"

@@ -181,9 +181,9 @@ def write_rows(path: Path, plan: OddsPlan, tallies: tuple[Tally, ...]) -> None:
 
 def draw_odds(path: Path, plan: OddsPlan, tallies: tuple[Tally, ...]) -> None:
     """Write the figure: odds of the faces among the throws that landed, and of the face that was lowest at release."""
-    faces = len(tallies[0].landed)
     from matplotlib.figure import Figure  # a third of a second, after the first result
 
+    faces = len(tallies[0].landed)
     figure = Figure(figsize=(11.0, 4.4), dpi=150, layout="constrained")
     left, right = figure.subplots(1, 2)
     names = [_name(chi, tally) for chi, tally in zip(plan.chi, tallies, strict=True)]
