@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 NOMINAL_FPS = 30
 AV1_PRESET = "10"
-"""Of 8, the fastest that SVT-AV1 recommends for films, to 13. Against 8 it takes half the time and 4 % more bytes, at 0.2 dB
-less; 12 takes 0.7 of its time and 3 % more bytes again (`benchmarks/recording.py --presets`)."""
+"""Of 8, the fastest that SVT-AV1 recommends for films, to 13. Against 8 it takes 0.6 of the time and 4 % more bytes (of five
+clips, 10 % less to 23 % more), at 0.3 dB less; 12 takes 0.4 of it, at 0.9 dB less (`benchmarks/recording.py --presets`)."""
 AV1_QUALITY = "28"
 """Constant rate factor, 0 (lossless) to 63: larger values give smaller files."""
 KEY_FRAME_INTERVAL = "30"
