@@ -16,6 +16,12 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 SETUPTOOLS = PROJECT["tool"]["setuptools"]
+DATA_FILES = {
+    "diethrow/py.typed",
+    "diethrow/kernels.json",
+    "diethrow/replay/player/player.css",
+    "diethrow/replay/player/player.js",
+}
 BUILD = "from setuptools import build_meta; build_meta.build_wheel('wheel')"
 
 
@@ -53,4 +59,4 @@ def test_the_wheel_holds_every_file_of_the_tree(tmp_path: Path) -> None:
     (wheel,) = (tmp_path / "wheel").glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         held = {name for name in archive.namelist() if ".dist-info/" not in name}
-    assert held == files_of_packages().keys() | {"diethrow/py.typed", "diethrow/kernels.json"}
+    assert held == files_of_packages().keys() | DATA_FILES

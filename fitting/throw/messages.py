@@ -67,8 +67,8 @@ def shared_error_messages(shares: Mapping[str, Mapping[str, float]], widening: f
         return []
     listed = " and ".join(f"{100.0 * share:.0f} % from {words}" for share, words in sorted(notable, reverse=True))
     return [
-        f"Of the variance of chi, {listed}. Its interval contains how well these are known; if they were exact it would be "
-        f"{widening:.2g} times narrower."
+        f"Of the variance of chi, {listed}. The frames determine these in part, at the cost of their own noise: if they were "
+        f"known exactly, the interval would be {widening:.2g} times narrower."
     ]
 
 

@@ -203,12 +203,12 @@ def effects_sentences(fit: Fit) -> list[str]:
     if tried:
         best = max(tried, key=lambda effect: effect.evidence or 0.0)
         sentences.append(
-            f"{_word(len(tried))} other {'effect was' if len(tried) == 1 else 'effects were'} tried and rejected. The "
+            f"{count_word(len(tried))} other {'effect was' if len(tried) == 1 else 'effects were'} tried and rejected. The "
             f"largest gain in log-likelihood is {number(best.evidence, 2)}, from {best.name}."
         )
     if untried:
         sentences.append(
-            f"{_word(untried)} {'was' if untried == 1 else 'were'} not tried; the table gives the reasons."
+            f"{count_word(untried)} {'was' if untried == 1 else 'were'} not tried; the table gives the reasons."
         )
     return sentences
 
@@ -232,7 +232,7 @@ def _observation_sentence(record: Record) -> str:
         return text + "no bounce was observed."
     listed = [f"{1e3 * impact.time_s:.1f}" for impact in impacts[:MAX_LISTED_TIMES]]
     times = _listed(listed) if len(impacts) <= MAX_LISTED_TIMES else ", ".join([*listed, "…"])
-    found = "one bounce was" if len(impacts) == 1 else f"{_word(len(impacts)).lower()} bounces were"
+    found = "one bounce was" if len(impacts) == 1 else f"{count_word(len(impacts)).lower()} bounces were"
     unresolved = sum(impact.contact == "unresolved" for impact in impacts)
     end = f"; {unresolved} of them could not be resolved into single contacts." if unresolved else "."
     return f"{text}{found} found, at {times} ms{end}"
@@ -258,8 +258,8 @@ def _of(parameter: Parameter) -> str:
     return interval(parameter.value, parameter.low, parameter.high, parameter.level)
 
 
-def _word(count: int) -> str:
-    """A number as the first word of a sentence."""
+def count_word(count: int) -> str:
+    """A count as the first word of a sentence: `Three`, `13`."""
     words = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine", "Ten", "Eleven", "Twelve")
     return words[count] if count < len(words) else str(count)
 

@@ -7,7 +7,7 @@ of the two poses of a frame. No physics is computed here.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -64,6 +64,8 @@ class ReportDetails:
     """Checks of timing and calibration on the finished throw."""
     origin: Mapping[str, Any] | None = None
     """Version, command, inputs with their SHA-256, packages and timings, by the keys of `provenance.json`."""
+    tables: Mapping[str, str] = field(default_factory=dict)
+    """Contents of tables that the page offers to save, by the names of their files."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,7 @@ from .ensembles import growth_curve as growth_curve
 from .ensembles import lowest_again as lowest_again
 from .ensembles import uncertain_shares as uncertain_shares
 from .plot_axes import PlotAxes as PlotAxes
+from .throw_plots import AXIS_GREY as AXIS_GREY
 from .throw_plots import angle_residuals as angle_residuals
 from .throw_plots import corner_heights as corner_heights
 from .throw_plots import correlations as correlations

@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..elements import MEASURED, SIMULATED, UNKNOWN, WHITE, hex_colour, mixed
-from ..svg import SvgAxes
+from ..figures import AXIS_GREY
+from ..svg import INK, LINE_GREY, SvgAxes
 
 WIDE = 8.4
 """Width of a figure across the page's text [inches]."""
 
-STYLE = """
+STYLE = (
+    """
 :root { --ink: #1d2126; --soft: #5b6470; --rule: #d9dde2; --paper: #fff; --wash: #f5f6f8; }
 * { box-sizing: border-box; }
 body { margin: 0 auto; max-width: 54rem; padding: 2.2rem 1.2rem 4rem; background: var(--paper); color: var(--ink);
@@ -48,6 +50,14 @@ li { margin: .3rem 0; }
 .dot ~ .dot { margin-left: 1.1em; }
 table.facts td { overflow-wrap: anywhere; } table.facts td:first-child { color: var(--soft); width: 9rem; }
 .hash { min-width: 15rem; font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: .78rem; overflow-wrap: anywhere; }
+pre { overflow-x: auto; padding: .8rem 1rem; background: var(--wash); font-size: .8rem; }
+summary { cursor: pointer; } .references { font-size: .88rem; padding-left: 1.4rem; }
+.downloads { columns: 16rem; } a { color: MEASURED; }
+.shares { display: flex; height: .8rem; max-width: 26rem; margin: .25rem 0; } .shares i { display: block; }
+@media screen and (prefers-color-scheme: dark) {
+  :root { --ink: #e4e7eb; --soft: #a3acb8; --rule: #3a414a; --paper: #15181c; --wash: #20252b; color-scheme: dark; }
+  svg [fill="INK"] { fill: var(--ink); } svg :is([stroke="LINE_GREY"], [stroke="AXIS_GREY"]) { stroke: var(--soft); }
+  .matrix td[style] { color: #1d2126; } }
 @media (max-width: 40rem) { body { padding-top: 1.2rem; } h1 { font-size: 1.4rem; }
   figure:not(.narrow) .wide > :is(img, svg, .row) { width: 40rem; max-width: none; }
   .wide > table:not(.facts, .matrix) { min-width: 34rem; } }
@@ -56,6 +66,10 @@ table.facts td { overflow-wrap: anywhere; } table.facts td:first-child { color: 
   h2 { break-after: avoid; margin-top: 1.6rem; } tr, li { break-inside: avoid; } .wide { overflow: visible; }
   figure { margin: .8rem 0; } figure.narrow { max-width: 11cm; } table { font-size: .82rem; } }
 """.replace("MEASURED", hex_colour(MEASURED))
+    .replace("INK", INK)
+    .replace("LINE_GREY", LINE_GREY)
+    .replace("AXIS_GREY", AXIS_GREY)
+)
 
 STATIC_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 """Content security policy of a page without scripts: the browser then refuses every network access."""

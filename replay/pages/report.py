@@ -26,15 +26,22 @@ from ..elements import (
     fixed,
     hex_colour,
     landing_sentence,
+    motion_of,
+    motions_of,
     number,
     parameter_text,
     role,
+    track_of,
     verdict,
 )
 from ..figures import throw_heights
+from ..player import player_html, player_policy, player_script, player_style
 from . import captioned_figures
 from .check import findings_table
+from .downloads import downloads_html
 from .embedded_viewer import VIEWER_PLACE, VIEWER_POLICY, viewer_html
+from .interval_sources import sources_html
+from .methods import bibtex, methods_html, methods_text
 from .page_parts import STATIC_POLICY, WIDE, as_table, captioned, key_value_table, plotted, whole_page
 
 if TYPE_CHECKING:
@@ -68,24 +75,28 @@ def report_page(record: Record, details: ReportDetails | None = None, replay: Pa
         _residuals(record, details),
         _landing(record),
         _checks(record, details),
+        methods_html(record, details),
+        downloads_html({**details.tables, "references.bib": bibtex(methods_text(record, details)[1])}),
         _origin(details.origin),
         viewer_html(replay) if replay is not None else "",
+        player_script(),
     ]
-    policy = STATIC_POLICY if replay is None else VIEWER_POLICY
-    return whole_page(record.title, (part for part in parts if part), policy=policy)
+    return whole_page(record.title, (part for part in parts if part), player_style(), _policy(replay is not None))
 
 
-def throw_page(title: str, die: Die, throw: Throw, sentences: Sequence[str], replay: Path) -> str:
+def throw_page(title: str, die: Die, throw: Throw, fps: float, sentences: Sequence[str], replay: Path) -> str:
     """The page of a simulated throw as HTML, with the viewer and the recording at `replay`. Raises OSError as `viewer_html`.
 
-    It shows the result in words, the heights of the corners, and the bounces.
+    It shows the result in words, the throw at `fps` [Hz] to be played, the heights of the corners, and the bounces.
     """
+    motion = motion_of("simulated", track_of(throw, fps), throw)
     bounces = [bounce_sentence(k, impact) for k, impact in enumerate(throw.bounces[:MAX_LISTED_BOUNCES], 1)]
     if len(throw.bounces) > len(bounces):
         bounces.append(f"and {len(throw.bounces) - len(bounces)} more")
     parts = [
         f"<h1>{escape(title)}</h1>",
         f'<div class="verdict"><p>{escape(" ".join(sentences))}</p></div>',
+        player_html(die.solid, [motion], throw.bounces),
         VIEWER_PLACE,
         captioned(
             plotted((WIDE, 4.0), lambda ax: throw_heights(ax, die.solid, throw), HEIGHTS_CAPTION), HEIGHTS_CAPTION
@@ -93,8 +104,14 @@ def throw_page(title: str, die: Die, throw: Throw, sentences: Sequence[str], rep
         "<h2>Bounces</h2>",
         _list(bounces or ["None."]),
         viewer_html(replay),
+        player_script(),
     ]
-    return whole_page(title, parts, policy=VIEWER_POLICY)
+    return whole_page(title, parts, player_style(), VIEWER_POLICY)
+
+
+def _policy(embedded: bool) -> str:
+    """The content security policy of a page with a player, and perhaps the viewer."""
+    return VIEWER_POLICY if embedded else f"{STATIC_POLICY}; {player_policy()}"
 
 
 # --- sections ---
@@ -134,11 +151,14 @@ def _short(parameter: Parameter | None) -> str:
 
 
 def _throw(record: Record, embedded: bool) -> str:
+    figures = {figure.name: figure.as_html() for figure in captioned_figures.clip_figures(record)}
+    picture = figures.pop("stroboscope", "")
     return "\n".join(
         [
             "<h2>The throw</h2>",
+            player_html(record.die.solid, motions_of(record), record.measured.bounces, record.camera, picture),
             *([VIEWER_PLACE] if embedded else []),
-            captioned_figures.as_html(captioned_figures.clip_figures(record)),
+            *figures.values(),
             captioned_figures.height_figure(record).as_html(),
         ]
     )
@@ -168,7 +188,7 @@ def _fit(record: Record) -> str:
     if fit is None:
         return "<h2>Fit</h2>\n<p>No model was fitted.</p>"
     rows = [_parameter_row(name, parameter, fit) for name, parameter in fit.parameters.items()]
-    parts = ["<h2>Fit</h2>", as_table(("parameter", "value", "interval", "in the fit"), rows)]
+    parts = ["<h2>Fit</h2>", as_table(("parameter", "value", "interval", "in the fit"), rows), sources_html(fit)]
     if fit.considered or fit.chosen:
         parts += ["<h3>Effects</h3>", _effects(fit)]
     if fit.initial is not None:
@@ -176,7 +196,7 @@ def _fit(record: Record) -> str:
         parts += [figure.as_html() for figure in captioned_figures.fit_figures(record) if figure.name == "correlations"]
     if fit.messages:
         parts += ["<h3>Messages of the fit</h3>", _list(fit.messages)]
-    return "\n".join(parts)
+    return "\n".join(part for part in parts if part)
 
 
 def _residuals(record: Record, details: ReportDetails) -> str:

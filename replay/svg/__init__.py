@@ -5,3 +5,5 @@ matplotlib takes longer to import than this needs for all figures of a report.
 """
 
 from .axes import SvgAxes as SvgAxes
+from .elements import INK as INK
+from .elements import LINE_GREY as LINE_GREY

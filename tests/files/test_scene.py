@@ -348,6 +348,13 @@ def test_a_scene_becomes_the_values_of_the_stages(folder: Path) -> None:
     assert scene.table.surface == "wood"
 
 
+def test_a_title_names_the_throw_or_else_the_folder(folder: Path) -> None:
+    assert read_scene(scene_file(folder)).name == folder.name
+    assert read_scene(scene_file(folder, f'title = "Ahorn, 3. Wurf"\n{SCENE}')).name == "Ahorn, 3. Wurf"
+    with pytest.raises(SceneError, match='title = " ": wanted the title of the throw'):
+        read_scene(scene_file(folder, f'title = " "\n{SCENE}'))
+
+
 def test_a_byte_order_mark_changes_nothing(folder: Path) -> None:
     assert read_scene(scene_file(folder, "\ufeff" + SCENE)).clip.fps == 1500.0
 

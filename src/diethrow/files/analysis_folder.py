@@ -53,6 +53,8 @@ from .throw_records import (
 
 FORMAT = 1
 """Version of the folder."""
+HANDED_ON = ("track.csv", "bounces.csv", "simulated.csv", "fit.json")
+"""Tables that the report contains as well."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +112,11 @@ def write_values(folder: Path, analysis: AnalysedThrow) -> None:
     write_json(folder / "analysis.json", _table(analysis))
 
 
+def result_tables(folder: Path) -> dict[str, str]:
+    """The contents of the folder's tables that its report hands on."""
+    return {name: (folder / name).read_text(encoding="utf-8") for name in HANDED_ON}
+
+
 def write_tracked(folder: Path, smoothed: Track, tracked: TrackedThrow) -> None:
     """The files of the tracking stage."""
     numbers, solid = tracked.face_numbers, tracked.die.solid
@@ -162,7 +169,7 @@ def read_analysis(folder: Path) -> AnalysedThrow:
         raise InputError(f"{path}: {error!r}; wanted the analysis.json that analyze writes") from error
     return AnalysedThrow(
         record,
-        ReportDetails(tracked.frames, findings, origin),
+        ReportDetails(tracked.frames, findings, origin, result_tables(folder)),
         scene,
         numbers,
         decimation,

@@ -134,6 +134,13 @@ class Scene:
     """Standard error of the die's edge; None where the scene says nothing."""
     mesh_path: Path | None = None
     """The file of the die's mesh."""
+    title: str | None = None
+    """Of reports and recordings; None where the scene gives none."""
+
+    @property
+    def name(self) -> str:
+        """The title, or else the name of the scene's folder."""
+        return self.title or self.path.resolve().parent.name
 
     @property
     def settings_paths(self) -> tuple[Path, ...]:
@@ -232,7 +239,8 @@ def _scene(data: dict[str, Any], text: str, files: FilesBeside) -> Scene:
     start = _start(checked.start, clip, views, die, path) if checked.start is not None else None
     table = table_from(checked.table, checked.world)
     edge_sigma_m = _edge_sigma_m(checked.die, die, path)
-    return Scene(path, text, clip, views, die, table, start, _rounding(checked.die, die, path), edge_sigma_m, mesh)
+    rounding = _rounding(checked.die, die, path)
+    return Scene(path, text, clip, views, die, table, start, rounding, edge_sigma_m, mesh, checked.title)
 
 
 # --- the file, as TOML tables ---
@@ -274,13 +282,13 @@ def _not_empty(value: str) -> str:
 
 ResponseOrName = Annotated[float | str, AfterValidator(_known_response)]
 UnitQuaternion = Annotated[Vector4, AfterValidator(_unit_length)]
-PathText = Annotated[str, AfterValidator(_not_empty)]
+NonEmptyText = Annotated[str, AfterValidator(_not_empty)]
 
 _BACKGROUND_WANTED = "the path of a picture of the scene without the die, relative to the scene file"
 
 
 class _ClipTable(TomlTable):
-    path: PathText | None = Field(None, description=PATH_WANTED)
+    path: NonEmptyText | None = Field(None, description=PATH_WANTED)
     fps: Positive | None = Field(None, description="the recording rate in frames per second, a number above 0")
     exposure_s: Positive | None = Field(None, description="the exposure time of a frame in seconds, a number above 0")
     readout_s: NotNegative = Field(
@@ -290,7 +298,7 @@ class _ClipTable(TomlTable):
     fps_sigma: NotNegative | None = Field(
         None, description="the standard error of fps in frames per second, 0 or more; left out: 1e-5 of fps"
     )
-    background: PathText | None = Field(None, description=_BACKGROUND_WANTED)
+    background: NonEmptyText | None = Field(None, description=_BACKGROUND_WANTED)
     frames: Annotated[Vector2i, AfterValidator(_rising)] | None = Field(
         None, description="[first, stop], two whole numbers with 0 <= first < stop"
     )
@@ -312,11 +320,11 @@ class _CameraTable(TomlTable):
     distortion: Vector5 = Field([0.0] * 5, description="5 numbers, k1 k2 p1 p2 k3")
     rotation: Matrix3 = Field(description="3 rows of 3 numbers, the rotation from world to camera")
     translation_m: Vector3 = Field(description="3 numbers in metres, x_cam = rotation X_world + translation_m")
-    calibration: PathText | None = Field(
+    calibration: NonEmptyText | None = Field(
         None, description=f'"{EXACT}", or the path of a calibration.json relative to the scene file'
     )
-    path: PathText | None = Field(None, description=PATH_WANTED)
-    background: PathText | None = Field(None, description=_BACKGROUND_WANTED)
+    path: NonEmptyText | None = Field(None, description=PATH_WANTED)
+    background: NonEmptyText | None = Field(None, description=_BACKGROUND_WANTED)
 
 
 class _DieTable(DieTable):
@@ -343,6 +351,7 @@ class _StartTable(TomlTable):
 
 
 class _SceneFile(TomlTable):
+    title: NonEmptyText | None = Field(None, description="the title of the throw in reports and recordings, a text")
     clip: _ClipTable = Field(description="a [clip] table with path and fps")
     camera: list[_CameraTable] = Field([], description="a [camera] table, or several [[camera]] tables")
     table: TableTable = Field(description='a [table] table, for example surface = "wood"')

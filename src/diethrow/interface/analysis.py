@@ -18,7 +18,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..files.analysis_folder import AnalysedThrow, read_analysis, write_values
+from ..files.analysis_folder import AnalysedThrow, read_analysis, result_tables, write_values
 from ..files.csv_and_json import write_json
 from ..files.outputs import whole_folder
 from ..files.scene import Scene, read_scene
@@ -114,7 +114,8 @@ class Analysis(AnalysedThrow):
 
         with TemporaryDirectory() as folder:
             replay = self.recording(Path(folder) / "replay.rrd") if embed_replay else None
-            write_report(Path(path), self.record, self.details, replay)
+            details = replace(self.details, tables=self.details.tables or self._tables(Path(folder) / "values"))
+            write_report(Path(path), self.record, details, replay)
         return Path(path)
 
     def recording(self, path: str | Path) -> Path:
@@ -143,7 +144,8 @@ class Analysis(AnalysedThrow):
             write_values(place, self)
             write_json(place / "provenance.json", dict(self.details.origin or {}))
             replay = self.recording(place / "replay.rrd")
-            write_report(place / "report.html", self.record, self.details, replay if shown.embed_replay else None)
+            details = replace(self.details, tables=result_tables(place))
+            write_report(place / "report.html", self.record, details, replay if shown.embed_replay else None)
             if shown.figures:
                 write_figures(place / "figures", self.record, self.details)
         return replace(self, folder=out)
@@ -166,6 +168,12 @@ class Analysis(AnalysedThrow):
             f"model explains {self.result.bounces_fitted}</p><table><tr><th>parameter</th><th>value</th>"
             f"<th>interval</th></tr>{rows}</table><ul>{notes}</ul>"
         )
+
+    def _tables(self, folder: Path) -> dict[str, str]:
+        """The tables, by way of a new folder."""
+        folder.mkdir()
+        write_values(folder, self)
+        return result_tables(folder)
 
     @property
     def _chi(self) -> str:

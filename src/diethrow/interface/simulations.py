@@ -40,6 +40,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
+PLAYED_HZ = 1000.0
+"""Poses per second of a throw that plays in a notebook."""
+
+
 @dataclass(frozen=True, eq=False)
 class SimulatedThrow:
     """One throw of the model."""
@@ -71,6 +75,14 @@ class SimulatedThrow:
         from ..replay.figures import throw_heights
 
         return throw_heights(_axes(ax), self.die.solid, self.throw)
+
+    def _repr_html_(self) -> str:
+        """The throw, to be played in a notebook."""
+        from ..replay.elements import motion_of, track_of
+        from ..replay.player import player_alone
+
+        motion = motion_of("simulated", track_of(self.throw, PLAYED_HZ), self.throw)
+        return player_alone(self.die.solid, [motion], self.throw.bounces)
 
     def __repr__(self) -> str:
         where = "on no face" if self.landed_face is None else f"on face {self.landed_face}"

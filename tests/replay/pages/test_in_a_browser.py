@@ -88,7 +88,7 @@ def test_the_viewer_is_the_installed_one() -> None:
 def test_the_page_of_a_simulated_throw_contains_its_recording(tmp_path: Path) -> None:
     recording = tmp_path / "replay.rrd"
     write_throw_recording(recording, made.die(), made.throw(), made.FPS, "a throw")
-    text = throw_page(HOSTILE, made.die(), made.throw(), (HOSTILE,), recording)
+    text = throw_page(HOSTILE, made.die(), made.throw(), made.FPS, (HOSTILE,), recording)
     packed = re.search('id="viewer-recording">([^<]*)</script>', text)
     assert packed is not None
     assert base64.b64decode(packed[1]) == recording.read_bytes()

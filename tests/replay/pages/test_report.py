@@ -38,7 +38,7 @@ class Page(HTMLParser):
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.tags.append(tag)
         self.attributes += attrs
-        if tag not in ("meta", "img"):
+        if tag not in ("meta", "img", "input"):
             self.open.append(tag)
 
     def handle_endtag(self, tag: str) -> None:
@@ -69,11 +69,14 @@ def test_the_page_is_well_formed_and_has_every_section(whole: str) -> None:
 
 def test_the_page_requests_nothing_from_the_network(whole: str) -> None:
     parsed = Page(whole)
-    assert not {"script", "link", "iframe", "object"} & set(parsed.tags)
+    assert not {"link", "iframe", "object"} & set(parsed.tags)
+    # The data of the player, and the script that plays them.
+    assert parsed.tags.count("script") == 2
     addresses = [value for name, value in parsed.attributes if name in ("src", "href", "action", "data")]
     assert addresses
-    assert all(value is not None and value.startswith("data:image/") for value in addresses)
-    assert not re.search(r"https?:|@import|url\(", whole)
+    assert all(value is not None and value.startswith("data:") for value in addresses)
+    names = "http://www.w3.org/2000/svg"  # a namespace, which no browser loads
+    assert not re.search(r"https?:|@import|url\(", whole.replace(names, ""))
 
 
 def test_every_text_is_escaped() -> None:
@@ -81,7 +84,7 @@ def test_every_text_is_escaped() -> None:
     hostile = report_page(made.record(title=HOSTILE, notices=(HOSTILE,), fit=fit))
     parsed = Page(hostile)
     assert parsed.open == []
-    assert "script" not in parsed.tags
+    assert parsed.tags.count("script") == 2
     assert not [name for name, _ in parsed.attributes if name.startswith("on")]
     assert parsed.text.count("<script>alert(1)</script>") >= 4
 
@@ -117,7 +120,7 @@ def test_findings_and_provenance_are_shown_and_escaped() -> None:
     findings = (Finding("scale", Verdict.DOUBTFUL, HOSTILE, HOSTILE),)
     parsed = Page(report_page(made.record(), ReportDetails(findings=findings, origin=origin)))
     assert parsed.open == []
-    assert "script" not in parsed.tags
+    assert parsed.tags.count("script") == 2
     assert parsed.text.count("<script>alert(1)</script>") == 5
     for text in ("doubtful", "ab" * 32, "numpy 2", "track 1.5"):
         assert text in parsed.text

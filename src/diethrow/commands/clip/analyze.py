@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ...executors import loaded_ahead, one_thread
-from ...files.analysis_folder import AnalysedThrow, write_values
+from ...files.analysis_folder import AnalysedThrow, result_tables, write_values
 from ...files.csv_and_json import read_json
 from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, demand_same, unchanged_inputs
@@ -81,7 +81,7 @@ def analyze(
         write_values(folder, found)
         record_replay(folder, found.record, progress, watch, encoding if encoding.available else None)
         write_origin(folder, scene, command, inputs, watch, tracking)
-        details = replace(found.details, origin=read_json(folder / "provenance.json"))
+        details = replace(found.details, origin=read_json(folder / "provenance.json"), tables=result_tables(folder))
         write_pages(folder, found.record, details, shown, progress, watch)
     return replace(found, details=details, folder=Path(out), seconds=watch.seconds)
 
@@ -117,7 +117,7 @@ def _fitted(
     fit = run_fit(tracking.unbiased, tracking.measured, tracking.die, progress, watch, Choices(intervals))
     fit = replace(fit, messages=(*fit.messages, *scene.assumptions))
     record = Record(
-        title=scene.path.resolve().parent.name,
+        title=scene.name,
         die=tracking.die,
         track=tracking.smoothed,
         measured=tracking.measured,

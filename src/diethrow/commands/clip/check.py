@@ -59,7 +59,7 @@ def check_clip(
             (measured.tracked_part, clip, view.camera)
             for measured, clip, view in zip(check.measured, clips, scene.views(), strict=True)
         ]
-        page = check_page(scene.path.resolve().parent.name, check.findings, tracked_parts, scene.die)
+        page = check_page(scene.name, check.findings, tracked_parts, scene.die)
         (folder / "check.html").write_text(page, encoding="utf-8")
         write_provenance(folder, command=command, understood=scene, inputs=input_paths(scene), seconds=watch.seconds)
     return check

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ...executors import one_thread
-from ...files.analysis_folder import AnalysedThrow, write_values
+from ...files.analysis_folder import AnalysedThrow, result_tables, write_values
 from ...files.csv_and_json import read_json
 from ...files.measured_throw import read_measured_throw, throw_path
 from ...files.outputs import MIN_FREE_BYTES, check_free_space, whole_folder
@@ -61,7 +61,7 @@ def fit_track(
         if tracked is not None:
             fit = replace(fit, messages=(*fit.messages, *scene.assumptions))
         record = Record(
-            title=track_path.stem,
+            title=scene.title or track_path.stem,
             die=die,
             track=found.smoothed,
             measured=measured,
@@ -75,7 +75,7 @@ def fit_track(
         write_values(folder, analysis)
         record_replay(folder, record, progress, watch)
         write_origin(folder, scene, command, inputs, watch)
-        account = ReportDetails(frames=frames, origin=read_json(folder / "provenance.json"))
+        account = replace(analysis.details, origin=read_json(folder / "provenance.json"), tables=result_tables(folder))
         write_pages(folder, record, account, PLAIN, progress, watch)
     return replace(analysis, details=account)
 

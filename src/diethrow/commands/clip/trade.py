@@ -131,7 +131,7 @@ def trade(
     with whole_folder(out, force=force, inputs=paths) as folder, unchanged_inputs(paths) as inputs:
         with one_thread(), watch.stage("trade"):
             measured = _measured(scene, within, draws, progress)
-        _write(folder, scene.path.resolve().parent.name, measured)
+        _write(folder, scene.name, measured)
         write_provenance(folder, command=command, understood=scene, inputs=inputs, seconds=watch.seconds)
     return measured
 

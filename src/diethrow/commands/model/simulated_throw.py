@@ -54,7 +54,7 @@ def throw(
                 from ...replay.pages import throw_page
 
                 title, sentences = plan.path.stem, table["messages"]
-                page = throw_page(title, plan.die, result.throw, sentences, folder / "replay.rrd")
+                page = throw_page(title, plan.die, result.throw, plan.fps, sentences, folder / "replay.rrd")
                 (folder / "replay.html").write_text(page, encoding="utf-8")
         write_provenance(folder, command=command, understood=plan, inputs=plan.inputs, seconds=watch.seconds)
     return result
