@@ -231,13 +231,11 @@ def _origin(origin: Mapping[str, Any] | None) -> str:
     if origin is None:
         return ""
     packages = ", ".join(f"{name} {version}" for name, version in origin.get("packages", {}).items())
-    seconds = ", ".join(f"{name} {number(value, 3)}" for name, value in origin.get("timings_s", {}).items())
     rows = [
         ("program", f"diethrow {origin.get('diethrow', UNKNOWN)}"),
         ("command", " ".join(map(str, origin.get("command", ()))) or "called from Python"),
         ("python", f"{origin.get('python', UNKNOWN)} on {origin.get('platform', UNKNOWN)}"),
         ("packages", packages),
-        ("duration of the stages [s]", seconds),
     ]
     inputs = [
         f"<tr><td>{escape(str(file.get('path')))}</td><td>{escape(str(file.get('bytes')))}</td>"

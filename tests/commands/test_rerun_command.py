@@ -45,6 +45,21 @@ def test_the_output_may_be_one_word_and_no_scheduler_is_called(thrown: Path) -> 
         assert "agree bit for bit" in said
 
 
+def test_the_options_of_another_machine_are_used_only_when_accepted(thrown: Path) -> None:
+    origin = thrown / "provenance.json"
+    contents = json.loads(origin.read_text())
+    elsewhere = {**contents, "made_on": "0" * 16}
+    origin.write_text(json.dumps(elsewhere))
+    # Without options there is nothing to ask.
+    assert invoke("rerun", thrown)[0] == 0
+    command = ["diethrow", "throw", "throw.toml", "--embed-replay", "--out", "out"]
+    origin.write_text(json.dumps({**elsewhere, "command": command}))
+    status, _, complaint = invoke("rerun", thrown)
+    assert status == 1
+    assert "another machine or by another user, with --embed-replay; nothing was run: give --yes" in complaint
+    assert invoke("rerun", thrown, "--yes")[0] == 0
+
+
 def test_numbers_that_differ_are_named_with_their_difference(thrown: Path) -> None:
     table = thrown / "bounces.csv"
     header, first, *rest = table.read_text().splitlines()

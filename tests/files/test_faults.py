@@ -19,13 +19,17 @@ from footage_files import noisy_frames, write_cine, write_photron, write_picture
 
 import diethrow.files.provenance
 from diethrow.commands.clip.track import track_only
-from diethrow.files.outputs import OutputBusyError, OutputPlaceError, locked, whole_file, whole_folder
+from diethrow.commands.model.simulated_throw import throw
+from diethrow.commands.results.joined_recordings import ThrowRecording, gather, join
+from diethrow.files.outputs import MIN_FREE_BYTES, OutputBusyError, OutputPlaceError, locked, whole_file, whole_folder
+from diethrow.files.plan import read_plan
 from diethrow.files.provenance import MAX_FOREGROUND_BYTES, InputChangedError, files_read, sha256, unchanged_inputs
 from diethrow.files.scene import read_scene
 from diethrow.tracking.footage.clip import clip_files, open_clip
 from diethrow.tracking.quality import FAST
 
-SAMPLE = Path(__file__).parents[2] / "data_samples" / "cube_wood_photron"
+SAMPLES = Path(__file__).parents[2] / "data_samples"
+SAMPLE = SAMPLES / "cube_wood_photron"
 FRAMES = noisy_frames(12, bits=12)
 
 
@@ -55,6 +59,26 @@ def test_a_full_disk_is_reported_before_anything_is_computed(tmp_path: Path, mon
     ):
         pytest.fail("the work was begun")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recording_for_which_there_is_no_room_is_not_begun(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The recorder waits for ever on a full disk."""
+    usage, free = namedtuple("usage", "total used free"), MIN_FREE_BYTES + 10_000
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(10**9, 10**9 - free, free))
+    plan = read_plan(SAMPLES / "throws" / "cube_mirror.toml")
+    with pytest.raises(OutputPlaceError, match="disk is full"):
+        throw(plan, tmp_path / "out")
+    found = [ThrowRecording(name, _file_of(tmp_path / f"{name}.rrd", 10_000), {}) for name in "ab"]
+    with pytest.raises(OutputPlaceError, match="disk is full"):
+        join(found, tmp_path / "both.rrd", align="frame", models=True)
+    with pytest.raises(OutputPlaceError, match="disk is full"):
+        gather(found, tmp_path / "throws")
+    assert {path.name for path in tmp_path.iterdir()} == {"a.rrd", "b.rrd"}
+
+
+def _file_of(path: Path, size: int) -> Path:
+    path.write_bytes(bytes(size))
+    return path
 
 
 # --- inputs ---

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,19 @@ def rows(path: Path, entity: str, component: str, timeline: str = "t") -> list[t
         elif not {"t", "frame"} & set(batch.schema.names):
             found += [(-1, value) for value in values]
     return sorted(found, key=lambda row: row[0])
+
+
+def contents(path: Path) -> dict[tuple[str, str], list[str]]:
+    """All values by entity and column, in whatever chunks they are, without the time of writing and the identities that the
+    recorder draws anew each time."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for chunk in RrdReader(path).stream():
+        batch = chunk.to_record_batch()
+        for name, column in zip(batch.schema.names, batch.columns, strict=True):
+            if name not in ("rerun.controls.RowId", "RecordingInfo:start_time"):
+                digests = (hashlib.sha256(repr(value).encode()).hexdigest() for value in column.to_pylist())
+                found.setdefault((chunk.entity_path, name), []).extend(digests)
+    return {key: sorted(values) for key, values in found.items()}
 
 
 def entities(path: Path) -> set[str]:

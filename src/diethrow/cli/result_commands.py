@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
@@ -114,6 +115,9 @@ def rerun(
             help="Largest difference allowed, as a share of the column's largest number; 0: bit for bit.",
         ),
     ] = 1e-6,
+    yes: Annotated[
+        bool, typer.Option("--yes", "-y", help="Use the options of a run of another machine or user without asking.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Repeat a run from its provenance and report whether the numbers agree. Nothing is written.
@@ -125,7 +129,11 @@ def rerun(
         from ..commands.results.repeated_run import summary
         from ..files.provenance import as_tables
 
-        comparison = make_again(folder, within=within)
+        def accept(options: list[str]) -> bool:
+            question = f"{folder} comes from elsewhere. Run its command with {' '.join(options)}?"
+            return yes or (sys.stdin.isatty() and typer.confirm(question, err=True))
+
+        comparison = make_again(folder, within=within, accept=accept)
         if as_json:
             print_json(
                 {

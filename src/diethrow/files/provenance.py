@@ -265,9 +265,15 @@ def provenance_table(
         "seeds": seeds or {},
         "python": platform.python_version(),
         "platform": platform.platform(),
+        "made_on": this_place(),
         "packages": package_versions(),
         "timings_s": _rounded(seconds),
     }
+
+
+def this_place() -> str:
+    """A fingerprint of this machine and user: whether a folder of results is one's own."""
+    return hashlib.sha256(f"{platform.node()} {os.path.expanduser('~')}".encode()).hexdigest()[:16]
 
 
 def add_timings(path: Path, watch: Stopwatch) -> None:

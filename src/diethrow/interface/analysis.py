@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..files.analysis_folder import AnalysedThrow, read_analysis, result_tables, write_values
 from ..files.csv_and_json import write_json
-from ..files.outputs import whole_folder
+from ..files.outputs import check_free_space, whole_folder
 from ..files.scene import Scene, read_scene
 from ..model.errors import InputError
 from ..runs import PLAIN, Progress, Shown, silent
@@ -119,8 +119,11 @@ class Analysis(AnalysedThrow):
         return Path(path)
 
     def recording(self, path: str | Path) -> Path:
-        """Write the Rerun recording."""
+        """Write the Rerun recording. Raises OutputPlaceError where the disk has no room for it."""
+        from ..commands.clip.fit import replay_bytes
         from ..replay.recording import write_recording
+
+        check_free_space(Path(path), replay_bytes(self.record))
 
         write_recording(Path(path), self.record)
         return Path(path)

@@ -115,15 +115,17 @@ def test_findings_and_provenance_are_shown_and_escaped() -> None:
         "platform": HOSTILE,
         "packages": {"numpy": "2"},
         "inputs": [{"path": HOSTILE, "bytes": 12, "sha256": "ab" * 32}],
-        "timings_s": {"track": 1.5},
+        "timings_s": {"track": 1.53125},
     }
     findings = (Finding("scale", Verdict.DOUBTFUL, HOSTILE, HOSTILE),)
     parsed = Page(report_page(made.record(), ReportDetails(findings=findings, origin=origin)))
     assert parsed.open == []
     assert parsed.tags.count("script") == 2
     assert parsed.text.count("<script>alert(1)</script>") == 5
-    for text in ("doubtful", "ab" * 32, "numpy 2", "track 1.5"):
+    for text in ("doubtful", "ab" * 32, "numpy 2"):
         assert text in parsed.text
+    # Two runs take different times and give the same page.
+    assert "1.53" not in parsed.text
 
 
 def test_the_verdict_has_observation_model_and_landing() -> None:

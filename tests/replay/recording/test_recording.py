@@ -18,7 +18,7 @@ import pytest
 import replay_records as made
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
-from rrd_files import entities, rows, verify
+from rrd_files import contents, entities, rows, verify
 
 from diethrow.model.rotations import matrix_from_quat
 from diethrow.replay.elements import video
@@ -193,6 +193,15 @@ def test_one_throw_keeps_its_identity_and_another_model_has_its_own(tmp_path: Pa
         names.append(RrdReader(path).recordings()[0].recording_id)
     assert names[0] == names[1] != names[2]
     assert all(name.startswith("a throw-") for name in names)
+
+
+def test_one_record_gives_recordings_of_the_same_contents(written: Path, tmp_path: Path) -> None:
+    again, other = tmp_path / "again.rrd", tmp_path / "other.rrd"
+    write_recording(again, made.record())
+    write_recording(other, made.record(simulated=made.track(2e-5, gaps=False)))
+    assert len(contents(written)) > 100
+    assert contents(again) == contents(written)
+    assert contents(other) != contents(written)
 
 
 def test_measured_and_simulated_keep_their_colours_everywhere(written: Path) -> None:

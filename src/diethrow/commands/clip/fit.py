@@ -137,7 +137,7 @@ def record_replay(
     """Write replay.rrd, if there is room for it; `encoding` is the video of the record's clip, if it was begun before."""
     from ...replay.recording import write_recording  # Rerun, which takes a third of a second to load
 
-    check_free_space(folder, _replay_bytes(record))
+    check_free_space(folder, replay_bytes(record))
     with watch.stage("replay"):
         progress("Writing the replay", 0, 0)
         write_recording(folder / "replay.rrd", record, encoding)
@@ -158,7 +158,7 @@ def write_pages(
     add_timings(folder / "provenance.json", watch)
 
 
-def _replay_bytes(record: Record) -> int:
+def replay_bytes(record: Record) -> int:
     """An upper limit of a recording and a report: 2 kB a frame beside the film, and a twentieth of its pixels."""
     film = record.clip.width_px * record.clip.height_px * len(record.clip) // 20 if record.clip is not None else 0
     return MIN_FREE_BYTES + 2048 * len(record.track) + film

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...files.csv_and_json import write_json
 from ...files.fit_records import state_table
-from ...files.outputs import whole_folder
+from ...files.outputs import MIN_FREE_BYTES, check_free_space, whole_folder
 from ...files.plan import Plan
 from ...files.provenance import Stopwatch, write_provenance
 from ...files.settings import refuse
@@ -19,6 +19,8 @@ from ...model.throw import BodyKind, Ending, ThrowResult, Until, body_kind, thro
 from ...replay.figures import throw_heights
 from ...tracking.track import Track
 
+REPLAY_ROW_BYTES = 2048
+"""Upper limit of what one pose takes in a recording."""
 MAX_ROWS = 10_000_000
 """Largest number of rows of simulated.csv; more indicate a wrong unit of `output.fps` or `until.time_s`."""
 _STOPPED = (Ending.TIME_REACHED, Ending.IMPACTS_REACHED, Ending.IMPACT_CAP, Ending.BOUNCING)
@@ -41,7 +43,8 @@ def throw(
         with watch.stage("records"):
             write_vertices(folder / "vertices.csv", plan.die.solid)
             write_bounces(folder / "bounces.csv", result.throw.bounces)
-            write_simulated(folder / "simulated.csv", rows_of(plan, result))
+            rows = rows_of(plan, result)
+            write_simulated(folder / "simulated.csv", rows)
             table = throw_table(plan, result)
             write_json(folder / "throw.json", table)
         with watch.stage("figure"):
@@ -49,6 +52,7 @@ def throw(
         with watch.stage("replay"):
             from ...replay.recording import write_throw_recording  # Rerun, which takes a third of a second to load
 
+            check_free_space(folder, MIN_FREE_BYTES + REPLAY_ROW_BYTES * len(rows))
             write_throw_recording(folder / "replay.rrd", plan.die, result.throw, plan.fps, plan.path.stem)
             if embed_replay:
                 from ...replay.pages import throw_page

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ...files.csv_and_json import read_json
-from ...files.outputs import whole_file, whole_folder
+from ...files.outputs import MIN_FREE_BYTES, check_free_space, whole_file, whole_folder
 from ...files.provenance import Stopwatch, write_provenance
 from ...model.errors import InputError
 from ...replay.recording import Source, join_recordings, properties_of
@@ -64,6 +64,7 @@ def join(found: Sequence[ThrowRecording], out: Path, *, align: str, models: bool
         raise InputError(f"{found[0].path} is one recording; give two or more to join, or omit --out to view one")
     same = made_from_same_footage(found) if models is None else models
     with whole_file(out, force=force, inputs=[one.path for one in found]) as file:
+        check_free_space(file, _room_for(found))
         sources = [Source(one.path, one.name) for one in found]
         join_recordings(file, sources, same_throw=same, at_bounce=align == BOUNCE)
     return same
@@ -76,6 +77,7 @@ def gather(found: Sequence[ThrowRecording], out: Path, *, force: bool = False, c
     """
     inputs, watch = tuple(one.path for one in found), Stopwatch()
     with whole_folder(out, force=force, inputs=inputs) as folder:
+        check_free_space(folder, _room_for(found))
         with watch.stage("copy"):
             for one in found:
                 shutil.copyfile(one.path, folder / f"{one.name}.rrd")
@@ -85,6 +87,11 @@ def gather(found: Sequence[ThrowRecording], out: Path, *, force: bool = False, c
             writer.writerows((one.name, *(one.properties.get(name, "") for name in COLUMNS)) for one in found)
         understood = {"throws": [one.name for one in found]}
         write_provenance(folder, command=command, understood=understood, seconds=watch.seconds, inputs=inputs)
+
+
+def _room_for(found: Sequence[ThrowRecording]) -> int:
+    """Bytes that all recordings take together, and some to spare."""
+    return MIN_FREE_BYTES + sum(one.path.stat().st_size for one in found)
 
 
 def made_from_same_footage(found: Sequence[ThrowRecording]) -> bool:

@@ -12,14 +12,14 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ... import __version__
 from ...files.csv_and_json import read_json
-from ...files.provenance import package_versions, sha256
+from ...files.provenance import package_versions, sha256, this_place
 from ...model.errors import InputError
 from .folder_comparison import Difference, compare
 
@@ -48,15 +48,27 @@ class Comparison:
         return all(difference.share <= self.within for difference in self.differences)
 
 
-def rerun(folder: Path, *, within: float = WITHIN) -> Comparison:
+def refuse(options: list[str]) -> bool:
+    """Accept no options of others."""
+    return False
+
+
+def rerun(folder: Path, *, within: float = WITHIN, accept: Callable[[list[str]], bool] = refuse) -> Comparison:
     """Repeat the run that made `folder`, and compare the results.
 
-    Raises FileNotFoundError without provenance. Raises ValueError if the provenance names no command that can be repeated,
-    an input has changed, or the repeated run fails.
+    `accept` is asked whether options that were given on another machine, or by another user, may be used here. Raises
+    FileNotFoundError without provenance. Raises ValueError if the provenance names no command that can be repeated, its options
+    are not accepted, an input has changed, or the repeated run fails.
     """
     folder = Path(folder).resolve()
     origin = read_json(folder / "provenance.json")
     arguments, start_folder = _command_of(origin, folder)
+    options = arguments[next((k for k, word in enumerate(arguments) if word.startswith("-")), len(arguments)) :]
+    if options and origin.get("made_on") != this_place() and not accept(options):
+        raise InputError(
+            f"{folder} was made on another machine or by another user, with {' '.join(options)}; nothing was run: give --yes to "
+            "use these options here"
+        )
     _check_inputs(origin, start_folder, folder)
     with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", suffix=".again", dir=folder.parent) as parent:
         repeated = Path(parent) / folder.name
