@@ -8,6 +8,8 @@
   const ZOOM = 1.2; // for each press of + or -
   const STEEPEST = 1.5; // radians of elevation, short of straight down, where the view would have no upright
   const LOWEST = 0.03; // radians of elevation, just above the table
+  const NUMBERED = 9; // bounces with their number: the later ones of a long throw lie close together
+  const MEASURED_WIDTH = 3.5, MODEL_WIDTH = 1.3; // pixels: where both agree, the model's line lies within the measured one
   const LIGHT = [0.36, -0.48, 0.8];
   const CORNER_UNITS = 8; // corners in the picture are stored in eighths of a pixel
   const UNKNOWN = -32768; // stored in the place of a corner that the camera does not see
@@ -144,7 +146,7 @@
         trace([[x - 4, y - 4], [x + 4, y + 4]]);
         trace([[x - 4, y + 4], [x + 4, y - 4]]);
         pen.stroke();
-        pen.fillText(String(k + 1), x + 6, y - 2);
+        if (k < NUMBERED) pen.fillText(String(k + 1), x + 6, y - 2);
       });
     }
 
@@ -180,7 +182,7 @@
         pen.fill();
       }
       pen.strokeStyle = motion.colour;
-      pen.lineWidth = solid ? 2 : 1.2;
+      pen.lineWidth = motion === motions[0] ? MEASURED_WIDTH : MODEL_WIDTH;
       faces.forEach((face, k) => {
         if (dot(normals[k], difference(seen.eye, face[0])) <= 0) return;
         pen.beginPath();
@@ -221,7 +223,7 @@
     const outlines = picture === null ? [] : motions.map((motion) => {
       const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
       path.setAttribute("stroke", motion.colour);
-      path.setAttribute("stroke-width", "2");
+      path.setAttribute("stroke-width", motion === motions[0] ? MEASURED_WIDTH : MODEL_WIDTH);
       path.setAttribute("vector-effect", "non-scaling-stroke");
       path.setAttribute("stroke-linejoin", "round");
       if (motion === motions[0]) path.setAttribute("fill", "rgba(255, 255, 255, 0.35)");

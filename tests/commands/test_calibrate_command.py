@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import invoke
-from footage_files import write_cine
+from footage_files import write_cine, write_video
 from pictures_of_boards import CHARUCO_BOARD, MATRIX, on_table, picture, poses, table_pose_of
 
 from diethrow.commands.clip.track import input_paths
@@ -86,6 +86,27 @@ def test_the_written_camera_is_that_of_the_pictures_and_fits_a_scene(pictures: l
             read_scene(scene)
     page = (out / "calibration.html").read_text()
     assert "://" not in page.replace("http://www.w3.org", "")
+
+
+def test_films_of_the_board_stand_for_pictures(tmp_path: Path) -> None:
+    """As a phone takes them: compressed, the board in motion, and with a playback rate alone."""
+    shown = np.array([picture(CHARUCO_BOARD, *pose, noise_grey=2.0) for pose in poses(40, CHARUCO_BOARD)])
+    flat = np.array([picture(CHARUCO_BOARD, *on_table(CHARUCO_BOARD, *table_pose_of()), noise_grey=2.0)] * 12)
+    made = {"codec": "libx264", "pixels": "yuv420p", "fps": 30, "options": {"crf": "20"}}
+    board = write_video(tmp_path / "board.mp4", shown, **made)
+    table = write_video(tmp_path / "board_on_table.mp4", flat, **made)
+    out = tmp_path / "camera"
+    status, output, notes = invoke("calibrate", board, "--table", table, *OPTIONS, "--out", out)
+    assert status == 0, notes
+    assert "25 of 25 pictures" in output
+    record = json.loads((out / "calibration.json").read_text())
+    names = [Path(each["name"]).name for each in record["pictures"]]
+    assert names[:2] == ["board.mp4", "board.mp4, frame 1"]
+    assert names[-1] == "board_on_table.mp4"
+    assert len(set(names)) == 25
+    focal = record["intrinsics"]["fx"]
+    assert abs(focal["value"] - MATRIX[0, 0]) < 6.0 * focal["sigma"]
+    assert np.abs(np.array(record["table"]["rotation"]) - table_pose_of()[0]).max() < 0.01
 
 
 def test_without_a_table_picture_the_pose_is_omitted_with_a_hint(pictures: list[Path], tmp_path: Path) -> None:

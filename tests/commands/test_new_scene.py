@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import invoke
-from footage_files import write_photron, write_tiff
+from footage_files import write_photron, write_tiff, write_video
 from footage_of_throws import DICE, film, studio
 from pictures_of_boards import (
     CHARUCO_BOARD,
@@ -92,6 +92,21 @@ def test_a_second_run_keeps_the_scene_and_needs_no_new_calibration(folder: Path)
     status, output, _ = invoke("new", folder, *KNOWN, "--force")
     assert status == 0
     assert "calibration: a calibration that diethrow calibrate wrote" in output
+
+
+def test_the_board_may_be_filmed(folder: Path) -> None:
+    shown = [cv2.imread(str(file), cv2.IMREAD_GRAYSCALE) for file in sorted((folder / "board").iterdir())]
+    flat = cv2.imread(str(folder / "board_on_table.png"), cv2.IMREAD_GRAYSCALE)
+    shutil.rmtree(folder / "board")
+    (folder / "board_on_table.png").unlink()
+    write_video(folder / "board.mkv", np.repeat(np.array(shown), 4, axis=0))
+    write_video(folder / "board_on_table.mkv", np.array([flat] * 12))
+    status, output, notes = invoke("new", folder, *KNOWN, *BOARD)
+    assert status == 0, output + notes
+    said = " ".join(output.split())
+    assert "board.mkv board: a film of the board, by its name: 24 frames" in said
+    assert "board_on_table.mkv board on the table: a film of the board that lies on the table" in said
+    assert np.abs(read_scene(folder / "scene.toml").cameras[0].camera.rotation - CAMERA.rotation).max() < 0.01
 
 
 def test_what_is_missing_is_named_with_how_to_get_it(folder: Path) -> None:

@@ -22,6 +22,7 @@ from .frame_blocks import FrameBlock as FrameBlock
 from .frame_blocks import Frames as Frames
 from .frame_blocks import FrameSource as FrameSource
 from .frame_blocks import Rows as Rows
+from .images import PICTURE_SUFFIXES as PICTURE_SUFFIXES
 from .images import read_picture as read_picture
 from .mosaic import clip_without_mosaic as clip_without_mosaic
 from .mosaic import has_mosaic as has_mosaic

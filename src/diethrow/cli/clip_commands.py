@@ -494,7 +494,8 @@ def check(
 )
 def calibrate(
     pictures: Annotated[
-        list[Path], typer.Argument(metavar="PICTURES...", help="Pictures of the board, tilted in all directions.")
+        list[Path],
+        typer.Argument(metavar="PICTURES...", help="Pictures or films of the board, tilted in all directions."),
     ],
     out: OutFolder,
     square_mm: Annotated[float, typer.Option("--square-mm", metavar="MM", help="Side of a square as printed.")],
@@ -509,7 +510,9 @@ def calibrate(
     table: Annotated[
         Path | None,
         typer.Option(
-            "--table", metavar="PICTURE", help="Picture of the board flat on the table: gives the camera's pose."
+            "--table",
+            metavar="PICTURE",
+            help="Picture or film of the board flat on the table: gives the camera's pose.",
         ),
     ] = None,
     thickness_mm: Annotated[
@@ -536,4 +539,4 @@ def calibrate(
         if as_json:
             print_json(out / "calibration.json")
             return
-        print_camera(found, len(pictures) + (table is not None and table not in pictures), out)
+        print_camera(found, out)

@@ -130,11 +130,11 @@ def batch_record(result: Batch, out: Path) -> dict[str, Any]:
     return {"folder": str(out), "finished": len(result.results), "finished_earlier": result.kept, "failures": failures}
 
 
-def print_camera(found: CameraFound, pictures: int, out: Path) -> None:
-    """The camera and, with a picture of the table, its position; `pictures` is how many were given."""
+def print_camera(found: CameraFound, out: Path) -> None:
+    """The camera and, with a picture of the table, its position."""
     camera, errors = found.calibration, found.calibration.sigmas
     typer.echo(
-        f"{len(camera.boards)} of {pictures} pictures, residuals {camera.rms_px:.3g} px, "
+        f"{len(camera.boards)} of {found.pictures} pictures, residuals {camera.rms_px:.3g} px, "
         f"focal length {camera.matrix[0, 0]:.6g} ± {errors[0]:.2g} px"
     )
     if found.table is not None:

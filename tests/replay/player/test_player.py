@@ -29,6 +29,7 @@ GO_TO = """(() => {{
   slider.value = {};
   slider.dispatchEvent(new Event("input"));
 }})()"""
+USABLE = {"button", "slider", "combobox", "checkbox", "link", "image"}
 COLOURS_OF_CANVAS = """(() => {
   const canvas = document.querySelector(".player canvas");
   const pixels = new Uint32Array(canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data.buffer);
@@ -185,6 +186,25 @@ def test_the_throw_plays_to_its_end_and_follows_keys_and_boxes(tmp_path: Path) -
             assert len(outline_px(page, name)) == 0
         assert page.evaluate("document.querySelector('.player canvas').toDataURL()") != turned
         assert page.errors == []
+
+
+def test_whatever_can_be_used_has_a_name_for_those_who_do_not_see_it(tmp_path: Path) -> None:
+    file = tmp_path / "report.html"
+    write_report(file, made.record())
+    with opened(file.as_uri(), tmp_path / "browser") as page:
+        page.call("Accessibility.enable")
+        nodes = page.call("Accessibility.getFullAXTree")["nodes"]
+        named = {
+            (node["role"]["value"], node.get("name", {}).get("value", ""))
+            for node in nodes
+            if not node["ignored"] and node["role"]["value"] in USABLE
+        }
+        assert {role for role, _ in named} == USABLE
+        assert all(name for _, name in named)
+        assert ("slider", "Frame") in named
+        page.evaluate(GO_TO.format(20))
+        spoken = page.evaluate("document.querySelector('[data-part=\"time\"]').getAttribute('aria-valuetext')")
+        assert spoken == "frame 27, 18.0 ms, before the first bounce"
 
 
 def test_two_throws_of_a_notebook_play_side_by_side(tmp_path: Path) -> None:

@@ -27,7 +27,11 @@ from ...tracking.calibration import (
     find_boards,
     table_pose,
 )
-from ...tracking.footage import Frame, is_cine, is_photron, open_clip, read_picture
+from ...tracking.footage import PICTURE_SUFFIXES, Frame, is_cine, is_photron, open_clip, read_picture
+from .footage import open_at_any_rate
+
+FILM_PICTURES = 24
+"""Frames of a film of the board: about as many as one would photograph. More are nearly the same pictures again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +43,8 @@ class CameraFound:
     table: TablePose | None
     notices: tuple[str, ...]
     """One sentence each."""
+    pictures: int
+    """Pictures looked at, with those taken from films."""
 
 
 def calibrate_camera(
@@ -53,18 +59,19 @@ def calibrate_camera(
 ) -> CameraFound:
     """Calibrate the camera and, with a picture of the board on the table, its pose; write both to the folder `out`.
 
-    A picture may also be a .cine or a Photron film, of which the first frame is used. Raises ValueError or FileNotFoundError for
-    pictures that cannot be used, and OutputExistsError for a folder that exists.
+    A picture may also be a .cine or a Photron film, of which the first frame is used, or any other film, of which FILM_PICTURES
+    frames are used; of one of the board on the table the first. Raises ValueError or FileNotFoundError for pictures that cannot
+    be used, and OutputExistsError for a folder that exists.
     """
     watch = Stopwatch()
     paths = tuple(dict.fromkeys([*pictures, *([table] if table is not None else [])]))
     with whole_folder(out, force=force, inputs=paths) as folder:
         with watch.stage("read"):
-            greys = [(str(path), _picture(path)) for path in paths]
+            greys = [picture for path in paths for picture in _pictures(path, 1 if path == table else FILM_PICTURES)]
         height, width = _common_size(greys)
         with watch.stage("corners"):
             views = find_boards(greys, board)
-        missing = tuple(path for path, view in zip(paths, views, strict=True) if view is None)
+        missing = tuple(name for (name, _), view in zip(greys, views, strict=True) if view is None)
         _demand_table(table, missing)
         with watch.stage("calibrate"):
             found = calibrate(_seen(views), width, height)
@@ -76,7 +83,7 @@ def calibrate_camera(
         page = calibration_page(found, placed, shown, board.square_m)
         (folder / "calibration.html").write_text(page, encoding="utf-8")
         write_provenance(folder, command=command, understood=board, inputs=paths, seconds=watch.seconds)
-    return CameraFound(Path(out), found, placed, notices)
+    return CameraFound(Path(out), found, placed, notices, len(greys))
 
 
 def camera_toml(calibration: Calibration, table: TablePose | None) -> str:
@@ -99,12 +106,17 @@ def camera_toml(calibration: Calibration, table: TablePose | None) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _picture(path: Path) -> Frame:
+def _pictures(path: Path, count: int) -> list[tuple[str, Frame]]:
+    """A picture with its name; of a film `count` frames or fewer, evenly spaced, the first one with the name of the film."""
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file; wanted pictures of the board, or films that begin with it")
+        raise FileNotFoundError(f"{path}: no such file; wanted pictures or films of the board")
     if is_cine(path) or is_photron(path):
-        return open_clip(path).frame(0)
-    return read_picture(path)
+        return [(str(path), open_clip(path).frame(0))]
+    if path.suffix.lower() in PICTURE_SUFFIXES:
+        return [(str(path), read_picture(path))]
+    film = open_at_any_rate(path)
+    rows = np.unique(np.linspace(0, len(film) - 1, count).astype(int)).tolist()
+    return [(f"{path}, frame {row}" if row else str(path), film.frame(row)) for row in rows]
 
 
 def _common_size(greys: list[tuple[str, Frame]]) -> tuple[int, int]:
@@ -123,18 +135,18 @@ def _seen(views: list[BoardView | None]) -> list[BoardView]:
     return [view for view in views if view is not None]
 
 
-def _demand_table(table: Path | None, missing: tuple[Path, ...]) -> None:
-    if table is not None and table in missing:
+def _demand_table(table: Path | None, missing: tuple[str, ...]) -> None:
+    if table is not None and str(table) in missing:
         raise InputError(
             f"{table}: no board is found on the picture of the table; check --board, --squares and --dictionary, "
             "or take it again, sharp and without glare"
         )
 
 
-def _not_found(missing: tuple[Path, ...]) -> tuple[str, ...]:
+def _not_found(missing: tuple[str, ...]) -> tuple[str, ...]:
     if not missing:
         return ()
-    names = ", ".join(path.name for path in missing[:6]) + (", ..." if len(missing) > 6 else "")
+    names = ", ".join(Path(name).name for name in missing[:6]) + (", ..." if len(missing) > 6 else "")
     return (f"No board is found on {len(missing)} of the pictures ({names}).",)
 
 
@@ -144,7 +156,7 @@ def _listed(values: NDArray[np.float64]) -> str:
 
 
 def _record(
-    calibration: Calibration, table: TablePose | None, board: Board, missing: tuple[Path, ...]
+    calibration: Calibration, table: TablePose | None, board: Board, missing: tuple[str, ...]
 ) -> dict[str, Any]:
     free = [INTRINSICS.index(name) for name in calibration.free]
     joint = calibration.covariance if table is None else table.joint_covariance
@@ -175,7 +187,7 @@ def _record(
             for seen in calibration.boards
         ],
         "left_out": [{"name": name, "rms_px": rms} for name, rms in calibration.left_out],
-        "not_found": [str(path) for path in missing],
+        "not_found": list(missing),
         "corners_left_out": calibration.corners_left_out,
         "table": None if table is None else _table_record(table),
         "messages": list(calibration.notices),

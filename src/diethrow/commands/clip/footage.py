@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from ...files.analysis_folder import AnalysedThrow
 from ...files.scene import Scene, View
 from ...files.settings import SceneError, refuse
+from ...model.errors import InputError
 from ...tracking.footage import (
     MOSAIC,
     TURNED,
@@ -34,6 +36,8 @@ from ...tracking.footage import (
 )
 from ...tracking.timing import clip_at_times
 
+TRIAL_FPS = 1000.0
+"""Rate with which a file that has none is opened to be looked at."""
 SAME_INTERVAL = 1e-3
 """Share by which the rate of a file may differ from the scene's when times are compared with the frame interval."""
 
@@ -139,3 +143,12 @@ def clip_of_analysis(found: AnalysedThrow) -> Clip | None:
     except (OSError, ValueError):
         return None
     return clip_at_times(clip, track.time_s) if len(clip) == len(track) else None
+
+
+def open_at_any_rate(path: Path) -> Clip:
+    """A film, with its own recording rate or, where it has none, with one to look at it. Raises ValueError and OSError as
+    `open_clip`."""
+    try:
+        return open_clip(path)
+    except InputError:
+        return open_clip(path, fps=TRIAL_FPS)

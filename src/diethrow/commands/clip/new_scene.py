@@ -25,6 +25,7 @@ from ...tracking.camera import Camera
 from ...tracking.footage import Clip, open_clip
 from .calibrate import calibrate_camera
 from .check import Check, check_clip
+from .footage import open_at_any_rate
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".tif", ".tiff", ".webp")
 """Endings of single pictures."""
@@ -33,8 +34,6 @@ TABLE_WORDS = re.compile(r"table|floor|flat", re.IGNORECASE)
 BACKGROUND_WORDS = re.compile(r"background|empty|without|bg", re.IGNORECASE)
 FEWEST_FRAMES = 10
 """Of a film; a folder or a file of fewer pictures is none."""
-TRIAL_FPS = 1000.0
-"""Rate with which a file that has none is opened to be looked at."""
 CAMERA_FOLDER = "camera"
 
 Role = Literal["clip", "board", "board on the table", "background", "calibration", "scene", "another film", "unknown"]
@@ -103,7 +102,7 @@ def look_through(folder: Path) -> tuple[FoundFile, ...]:
     found = [role_of(path) for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
     films = [one for one in found if one.role == "clip"]
     if len(films) > 1:
-        longest = max(films, key=lambda one: len(_opened(one.path)))
+        longest = max(films, key=lambda one: len(open_at_any_rate(one.path)))
         found = [
             FoundFile(one.path, "another film", one.said) if one.role == "clip" and one != longest else one
             for one in found
@@ -113,7 +112,7 @@ def look_through(folder: Path) -> tuple[FoundFile, ...]:
 
 def read_clip_facts(path: Path) -> ClipRead:
     """What the clip says. Raises InputError or OSError for what is none."""
-    clip = _opened(path)
+    clip = open_at_any_rate(path)
     facts = clip.metadata()
     rate, exposure = facts["record_rate_hz"], facts["exposure_s"]
     return ClipRead(path, len(clip), clip.width_px, clip.height_px, clip.bit_depth, rate, exposure)
@@ -218,7 +217,12 @@ def role_of(path: Path) -> FoundFile:
         return FoundFile(path, "board", f"{count} pictures of a board, by its name")
     if path.is_file() and path.suffix.lower() in PICTURES and BACKGROUND_WORDS.search(path.stem):
         return FoundFile(path, "background", "the scene without the die, by its name")
-    return _film_or_unknown(path)
+    film = _film_or_unknown(path)
+    if film.role == "clip" and path.is_file() and BOARD_WORDS.search(path.stem):
+        lies = TABLE_WORDS.search(path.stem) is not None
+        what = "a film of the board that lies on the table" if lies else "a film of the board"
+        return FoundFile(path, "board on the table" if lies else "board", f"{what}, by its name: {film.said}")
+    return film
 
 
 def _film_or_unknown(path: Path) -> FoundFile:
@@ -226,21 +230,13 @@ def _film_or_unknown(path: Path) -> FoundFile:
     if path.is_dir() and not any(each.suffix.lower() in PICTURES for each in path.iterdir()):
         return FoundFile(path, "unknown", "a folder without pictures")
     try:
-        clip = _opened(path)
+        clip = open_at_any_rate(path)
         count = len(clip)
     except (ValueError, OSError):
         return FoundFile(path, "unknown", "no film and no picture that is recognised")
     if count < FEWEST_FRAMES:
         return FoundFile(path, "unknown", f"{count} pictures, too few for a film")
     return FoundFile(path, "clip", f"{count} frames of {clip.width_px} x {clip.height_px} pixels")
-
-
-def _opened(path: Path) -> Clip:
-    """A film, with its own recording rate or, where it has none, with one to look at it."""
-    try:
-        return open_clip(path)
-    except InputError:
-        return open_clip(path, fps=TRIAL_FPS)
 
 
 def _camera(
@@ -305,7 +301,8 @@ def _missing(clip: ClipRead, answers: Answers, has_camera: bool) -> tuple[str, .
     if not has_camera:
         lacks.append(
             "[camera]: photograph a ChArUco board or a chessboard some twenty times with the settings of the clip, once flat on "
-            "the table; call them board_*.png and board_on_table.png, and give --square-mm; or run diethrow calibrate"
+            "the table, or film it; call that board_*.png and board_on_table.png, or board.mp4 and board_on_table.mp4, and give "
+            "--square-mm; or run diethrow calibrate"
         )
     return tuple(lacks)
 
