@@ -105,7 +105,7 @@
 
     function draw() {
       const style = getComputedStyle(place);
-      const [ink, soft, rule] = ["--player-ink", "--player-soft", "--player-rule"].map((name) => style.getPropertyValue(name));
+      const ink = style.color, [soft, rule] = ["--player-soft", "--player-rule"].map((name) => style.getPropertyValue(name));
       const density = window.devicePixelRatio || 1;
       const width = Math.round(density * canvas.clientWidth), height = Math.round(density * canvas.clientHeight);
       if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import invoke
+from rrd_files import contents
 
 import diethrow as dt
 from diethrow.model.ensembles import ThrowSetup, Window, final_configurations
@@ -186,6 +187,18 @@ def test_a_folder_that_holds_no_analysis_is_refused_in_a_sentence(
     change(copy)
     with pytest.raises(error, match=expected):
         dt.load(copy)
+
+
+def test_a_recording_is_drawn_again_from_its_folder(folder: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(folder, tmp_path / "copy"))
+    before = contents(copy / "replay.rrd")
+    (copy / "replay.rrd").unlink()
+    assert invoke("replay", copy)[0] == 0
+    assert contents(copy / "replay.rrd") == before
+    (copy / "replay.rrd").write_bytes(b"damaged")
+    assert invoke("replay", copy)[0] == 1
+    assert invoke("replay", copy, "--redraw")[0] == 0
+    assert contents(copy / "replay.rrd") == before
 
 
 def edit(path: Path, **entries: object) -> None:

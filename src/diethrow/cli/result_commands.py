@@ -51,13 +51,22 @@ def replay(
     look: Annotated[
         bool, typer.Option("--open", help="Open the viewer: without statistics, listening on localhost only.")
     ] = False,
+    redraw: Annotated[
+        bool,
+        typer.Option(
+            "--redraw", help="Draw each DIR/replay.rrd again from the tables beside it; one that is gone always is."
+        ),
+    ] = False,
     as_json: AsJson = False,
     force: Annotated[bool, typer.Option("--force", help="Replace the output if it exists.")] = False,
 ) -> None:
     """Show throws: a table, one recording of several throws, or the viewer."""
     with one_sentence_errors():
-        from ..commands.results.joined_recordings import find_recordings, gather, join
+        from ..commands.results.joined_recordings import RECORDING, find_recordings, gather, join
 
+        for folder in throws:
+            if (folder / "analysis.json").is_file() and (redraw or not (folder / RECORDING).exists()):
+                _draw_recording(folder, folder / RECORDING)
         found = find_recordings(throws)
         if as_json:
             print_json({"throws": [{"name": one.name, **one.properties} for one in found]})
@@ -79,6 +88,15 @@ def replay(
             from ..commands.results.viewer import open_viewer
 
             open_viewer(shown)
+
+
+def _draw_recording(folder: Path, recording: Path) -> None:
+    """Draw the recording of a folder of results, without tracking."""
+    from ..files.outputs import whole_file
+    from ..interface import load
+
+    with whole_file(recording, force=True) as file:
+        load(folder).recording(file)
 
 
 @app.command(
