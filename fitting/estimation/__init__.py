@@ -1,14 +1,12 @@
 """Estimation: observations and their weights, robust least squares, and the intervals that follow.
 
 `FlightObservations` are the usable frames of a track, each with the matrix that whitens its errors. `levenberg_marquardt` fits
-them under bounds, with a loss that bad frames cannot bend (`huber`). `variance_inflation` scales covariances by what the
-residuals show, and `profile_interval` follows the likelihood of one parameter.
+them under bounds, with a loss that bad frames cannot bend (`huber`). `residual_errors` finds what
+the residuals show of errors and law, and `profile_interval` follows the likelihood of one parameter.
 """
 
-from .intervals import correlation_time as correlation_time
 from .intervals import normal_quantile as normal_quantile
 from .intervals import profile_interval as profile_interval
-from .intervals import variance_inflation as variance_inflation
 from .least_squares import COARSE_TOLERANCE as COARSE_TOLERANCE
 from .least_squares import COST_TOLERANCE as COST_TOLERANCE
 from .least_squares import HUBER_THRESHOLD as HUBER_THRESHOLD
@@ -28,3 +26,6 @@ from .observations import whitened as whitened
 from .observations import whitened_jacobian as whitened_jacobian
 from .observations import whiteners as whiteners
 from .observations import with_noise as with_noise
+from .residual_errors import ResidualErrors as ResidualErrors
+from .residual_errors import not_below as not_below
+from .residual_errors import residual_errors as residual_errors

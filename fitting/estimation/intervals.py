@@ -1,18 +1,8 @@
-"""Intervals of fitted parameters, widened by what the residuals show.
-
-Least squares gives the covariance (Jᵀ J)⁻¹ if every whitened residual is independent and of unit variance. The residuals
-show two departures, and both are corrected:
-
-- their variance s²: frames worse than stated, or a model that does not quite hold;
-- their correlation from frame to frame, which makes n frames worth n/τ with τ = 1 + 2 Σ ρ_l over the autocorrelations ρ_l
-  (Priestley, Spectral Analysis and Time Series, 1981, Sec. 5.3).
-
-Their product is not taken below 1. Covariances may state errors that are correlated as larger independent ones, as those of
-tracking do: residuals are then smaller than stated, and correlated, and s² τ compares what they add up to with what is stated.
-An error that all frames share shows in no residual.
+"""Intervals of fitted parameters.
 
 A profile-likelihood interval (Venzon & Moolgavkar, Appl. Stat. 37, 87, 1988) holds all values at which the best fit of
-everything else costs at most z² more. It respects the bounds of a parameter, and ends at a bound that it reaches.
+everything else costs at most z² more. It respects the bounds of a parameter, and ends at a bound that it reaches. The cost is in
+units of what the residuals show (`residual_errors`).
 """
 
 from __future__ import annotations
@@ -44,27 +34,6 @@ _OVERSHOOT, _MAX_EXPANSION = 1.1, 4.0
 def normal_quantile(level: float) -> float:
     """Standard deviations to either side that hold a share `level` of a normal distribution: 1.96 for 0.95."""
     return float(ndtri(0.5 + level / 2.0))
-
-
-def variance_inflation(residuals: Array, degrees_of_freedom: float, flight: NDArray[np.int64]) -> tuple[float, float]:
-    """s² and τ of whitened residuals (n, 6) in flights (n,); τ is at least 1, and so is their product."""
-    variance = float((residuals**2).sum()) / max(degrees_of_freedom, 1.0)
-    tau = correlation_time(residuals, flight)
-    return max(1.0 / tau, variance), tau
-
-
-def correlation_time(residuals: Array, flight: NDArray[np.int64]) -> float:
-    """τ = 1 + 2 Σ ρ_l [frames], at least 1, summed until ρ_l is within its own noise; pairs never span two flights."""
-    runs = [residuals[flight == k] for k in np.unique(flight)]
-    power = float((residuals**2).mean()) if residuals.size else 0.0
-    tau = 1.0
-    for lag in range(1, max((len(run) for run in runs), default=0) // 2):
-        products = np.concatenate([(run[lag:] * run[:-lag]).ravel() for run in runs if len(run) > lag])
-        rho = float(products.mean()) / power if power > 0.0 else 0.0
-        if rho < 2.0 / np.sqrt(products.size):
-            break
-        tau += 2.0 * rho
-    return tau
 
 
 def profile_interval(

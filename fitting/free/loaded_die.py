@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ...model.rotations import matrix_from_quat
 from ...tracking.flights import pose_jacobian
-from ..estimation import orthonormal_basis, pose_errors, variance_inflation, whitened, whitened_jacobian
+from ..estimation import orthonormal_basis, pose_errors, residual_errors, whitened, whitened_jacobian
 from .flights import FreeFlights
 
 Array = NDArray[np.float64]
@@ -62,6 +62,7 @@ class MassOffset:
 def mass_offset_from_flights(free: FreeFlights) -> MassOffset | None:
     """The centre of mass that the free flights show; None where they leave any direction of it open."""
     residuals, columns, flights = [np.empty((0, 6))], [np.empty((0, 6, _OFFSET_NUMBERS))], [np.empty(0, np.int64)]
+    times = [np.empty(0)]
     for k, fit in enumerate(free.flights):
         own = free.observations.where(free.observations.flight == k)
         if fit is None or 6 * len(own) <= 12 + _OFFSET_NUMBERS:
@@ -75,6 +76,7 @@ def mass_offset_from_flights(free: FreeFlights) -> MassOffset | None:
         residuals.append(apart[:, 0].reshape(-1, 6))
         columns.append(apart[:, 1:].reshape(-1, 6, _OFFSET_NUMBERS))
         flights.append(own.flight)
+        times.append(own.time_s)
     r, c, which = (
         np.concatenate(residuals),
         np.concatenate(columns).reshape(-1, _OFFSET_NUMBERS),
@@ -86,8 +88,7 @@ def mass_offset_from_flights(free: FreeFlights) -> MassOffset | None:
         return None
     centre = np.linalg.solve(information, -(c.T @ r.ravel())).astype(np.float64)
     left = r + (c @ centre).reshape(-1, 6)
-    variance, tau = variance_inflation(left, freedom, which)
-    scale = variance * tau
+    scale = residual_errors(left, np.concatenate(times), which, _OFFSET_NUMBERS).scale
     fall = float((r**2).sum() - (left**2).sum())
     covariance = np.linalg.inv(information).astype(np.float64) * scale
     return MassOffset(

@@ -19,6 +19,7 @@ from ..throw import (
     Trajectory,
     extend_through_bounces,
     first_flight_trajectory,
+    inflated_covariance,
     landing_odds,
     parameters_of,
     physics_of_fit,
@@ -70,6 +71,6 @@ def _estimate(trajectory: Trajectory, measured: Throw, free: FreeFlights) -> Est
     """The estimate from one trajectory, as the whole fit makes its own."""
     trajectory = weighted_as_inflated(trajectory, free.huber_threshold)
     chi = parameters_of([trajectory], free, ["chi"])["chi"]
-    covariance = trajectory.inflated_covariance
+    covariance = inflated_covariance(trajectory, free.huber_threshold)
     _, odds, _ = landing_odds(trajectory.physics, trajectory.state, covariance, trajectory.vertices)
     return Estimate(trajectory.reached, measured.impacts[trajectory.reached - 1].time_s, chi, odds)

@@ -20,6 +20,7 @@ from .physics import kernel_body as kernel_body
 from .physics import table_under as table_under
 from .shooting import Trajectory as Trajectory
 from .shooting import first_flight_trajectory as first_flight_trajectory
+from .shooting import inflated_covariance as inflated_covariance
 from .shooting import weighted_as_inflated as weighted_as_inflated
 from .throw_fit import INTERVAL_LEVEL as INTERVAL_LEVEL
 from .throw_fit import fit_throw as fit_throw

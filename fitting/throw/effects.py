@@ -2,8 +2,8 @@
 
 The fit begins with the plainest model. Every effect that is not in use is then tried on the frames at hand: those of the
 bounces explained so far and, where the model stops, of the flight that it cannot explain. Its gain is the fall of half
-the cost in a fit with its parameters free, in units of what remains unexplained with the effect: s² τ, the variance of
-the residuals times their correlation time (`intervals`). An effect is accepted if
+the cost in a fit with its parameters free, in units of what remains unexplained with the effect: the long-run variance of
+the residuals times the misfit of the law (`residual_errors`). An effect is accepted if
 
 - its gain exceeds the penalty k (½ log n + log q), with k its parameters, n the residuals and q the effects on trial. This
   is half the extended Bayesian information criterion (Chen & Chen, Biometrika 95, 759, 2008), whose second term
@@ -222,8 +222,7 @@ def _promising_offset(trajectory: Trajectory, free: FreeFlights) -> tuple[MassOf
 
 def _compared(trajectory: Trajectory, wider: Trajectory, effect: str, free: FreeFlights) -> Trial:
     """What an effect gains on the frames that both trajectories are fitted to."""
-    variance, tau = wider.inflation
-    scale, k2 = variance * tau, free.huber_threshold
+    scale, k2 = wider.errors.scale, free.huber_threshold
     gain = 0.5 * (trajectory.cost(k2) - wider.cost(k2)) / scale
     # nansum: blocks without which either fit is undetermined do not enter the comparison.
     predicted = 0.5 * float(np.nansum(left_out_costs(trajectory, k2) - left_out_costs(wider, k2))) / scale

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ..estimation import ResidualErrors
 from ..free import Bounce, FreeFlights
 from ..results import Parameter
 from .contact_sequences import Vertices, own_sequence
@@ -132,15 +133,20 @@ def _why_no_more(trajectory: Trajectory, free: FreeFlights, explained: int, besi
     )
 
 
-def inflation_messages(variance: float, tau: float) -> list[str]:
+def inflation_messages(errors: ResidualErrors) -> list[str]:
     """By how much sigmas and intervals were scaled up, if they were."""
-    if variance * tau < _NOTABLE_INFLATION:
+    if errors.scale < _NOTABLE_INFLATION:
         return []
-    larger = f"{np.sqrt(variance):.2f} sigma (rms) and " if variance > 1.0 else ""
-    why = "the frames' errors are larger than stated, or the model is not quite right; " if variance > 1.0 else ""
+    shown = [f"correlated over {errors.correlation_time:.1f} frames"]
+    if errors.variance > 1.0:
+        shown.insert(0, f"{np.sqrt(errors.variance):.2f} sigma (rms)")
+    why = ["the frames' errors are larger than stated"] if errors.variance > 1.0 else []
+    if errors.misfit > _NOTABLE_INFLATION:
+        why.append(f"flights differ {np.sqrt(errors.misfit):.2f} times as much from the law as these errors explain")
+    because = f" ({', and '.join(why)})" if why else ""
     return [
-        f"Residuals are {larger}correlated over {tau:.1f} frames: {why}sigmas and intervals are scaled up by "
-        f"{np.sqrt(variance * tau):.2f}."
+        f"Residuals are {' and '.join(shown)}{because}: sigmas and intervals are scaled up by at most "
+        f"{np.sqrt(errors.scale):.2f}."
     ]
 
 

@@ -10,7 +10,7 @@ derivative of what remains is that of the throw's unknowns alone (variable proje
 out, and its intervals contain what the errors leave open.
 
 The weight w of the prior is 1 while frames are as good as stated. Covariances are multiplied by what the residuals show beyond
-that (`variance_inflation`), which the prior must not be: its weight is then that factor.
+that (`residual_errors`), which the prior must not be: its weight is then that factor.
 
 Where nothing is unknown, nothing is computed.
 """

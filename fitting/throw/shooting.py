@@ -8,6 +8,7 @@ information of the previous fit (`least_squares`), and the loss is one that bad 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +19,13 @@ from ...tracking.flights import left_jacobians, perturbed
 from ..estimation import (
     COST_TOLERANCE,
     FlightObservations,
+    ResidualErrors,
     huber,
     levenberg_marquardt,
+    not_below,
     pose_errors,
+    residual_errors,
     triangular_factor,
-    variance_inflation,
     whitened,
     whitened_jacobian,
 )
@@ -88,16 +91,11 @@ class Trajectory:
         """Of the whitened residuals."""
         return float((self.residuals**2).mean())
 
-    @property
-    def inflation(self) -> tuple[float, float]:
-        """s² and τ, by which its covariance is scaled for what the residuals show (`intervals`)."""
-        return variance_inflation(self.residuals, self.residuals.size - len(self.root), self.observations.flight)
-
-    @property
-    def inflated_covariance(self) -> Array:
-        """(12 + k, 12 + k) of state and free parameters, scaled by `inflation`."""
-        variance, tau = self.inflation
-        return self.covariance * variance * tau
+    @cached_property
+    def errors(self) -> ResidualErrors:
+        """What its residuals show of the errors of the frames and of the law."""
+        frames = self.observations
+        return residual_errors(self.residuals, frames.time_s, frames.flight, len(self.root))
 
     @property
     def covariance_root(self) -> Array:
@@ -200,12 +198,11 @@ def refitted_with(
 
 
 def weighted_as_inflated(trajectory: Trajectory, k2: float) -> Trajectory:
-    """The trajectory with the prior of shared errors as it counts where `inflation` multiplies the covariance of everything else:
-    fitted again. Unchanged where frames share no error."""
+    """The trajectory with the prior of shared errors as it counts where `errors.scale` multiplies the covariance of everything
+    else: fitted again. Unchanged where frames share no error."""
     if trajectory.observations.shared is None:
         return trajectory
-    variance, tau = trajectory.inflation
-    weighted = replace(trajectory.observations, shared_weight=variance * tau)
+    weighted = replace(trajectory.observations, shared_weight=trajectory.errors.scale)
     return fit_trajectory(weighted, trajectory, trajectory.vertices, k2)
 
 
@@ -213,6 +210,23 @@ def if_known_exactly(trajectory: Trajectory, k2: float) -> Trajectory:
     """The trajectory with the information that its frames would have if cameras, die and clock were exact."""
     exact = replace(trajectory.observations, shared=None)
     return with_physics(replace(trajectory, observations=exact), trajectory.physics, k2)
+
+
+def inflated_covariance(trajectory: Trajectory, k2: float) -> Array:
+    """(12 + k, 12 + k) of state and free parameters, with the variance and the correlation that the residuals show, and with what
+    the frames share; in no direction less than by the stated errors of the frames.
+
+    A frame pulls by ψ(r) Jᵀ, which the loss bounds; what the frames share pulls as its prior is wide.
+    """
+    found, covariance = linearised(trajectory, k2), trajectory.covariance
+    size = np.linalg.norm(found.of_frames, axis=1)
+    # A frame beyond the threshold pulls as one at the threshold does.
+    usual = np.sqrt(trajectory.errors.model.variance.sum())
+    weight = np.where(size > np.sqrt(k2), np.maximum(1.0, np.sqrt(k2) / usual), 1.0)
+    gains = weight[:, None, None] * (found.by_frames @ covariance)
+    frames = trajectory.errors.variance_of(gains, trajectory.observations.time_s, trajectory.observations.flight)
+    shared = found.by_prior @ covariance
+    return not_below(frames + trajectory.observations.shared_weight * shared.T @ shared, trajectory.root)
 
 
 def _evaluated(

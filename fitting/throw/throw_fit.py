@@ -19,7 +19,7 @@ from ...model.laws import Table
 from ...model.throw import Throw
 from ...tracking.flights import perturbed
 from ...tracking.track import Track
-from ..estimation import flight_observations, normal_quantile, profile_interval, variance_inflation
+from ..estimation import flight_observations, normal_quantile, profile_interval
 from ..free import Bounce, FreeFlights, common_restitution, fit_flights, measure_bounces
 from ..results import USUAL_CHOICES, Choices, Effect, Fit, Parameter
 from .bootstrap import bootstrap_intervals
@@ -42,6 +42,7 @@ from .shooting import (
     Trajectory,
     first_flight_trajectory,
     if_known_exactly,
+    inflated_covariance,
     linearised,
     mean_squares,
     refitted,
@@ -239,12 +240,11 @@ def _result_with_bounces(
     total, explained = len(task.measured.impacts) - task.first, best.reached - task.first
     beside = task.frames_beside(best.reached) if explained < total else ""
     messages += bounce_messages(trajectories, task.free, (explained, total), beside)
-    variance, tau = best.inflation
-    messages += inflation_messages(variance, tau)
+    messages += inflation_messages(best.errors)
     messages += restitution_messages(alternatives)
     parameters = _parameters(alternatives, task, messages)
-    covariance = best.inflated_covariance
-    shares = _variance_shares(best, tuple(parameters), task.free.huber_threshold, tau * variance)
+    covariance = inflated_covariance(best, task.free.huber_threshold)
+    shares = _variance_shares(best, tuple(parameters), task.free.huber_threshold, covariance)
     if shares:
         exact = if_known_exactly(best, task.free.huber_threshold).covariance
         messages += shared_error_messages(shares, float(np.sqrt(best.covariance[12, 12] / exact[12, 12])))
@@ -290,15 +290,13 @@ def _result_without_law(task: _Task, start: Trajectory, trials: list[Trial], mes
 
 def _first_flight_result(task: _Task, start: Trajectory, messages: Sequence[str]) -> Fit:
     """The result without any bounce: the first flight; χ stays unknown."""
-    freedom = max(6 * len(start.observations) - 12, 1)
-    variance, tau = variance_inflation(start.residuals, freedom, start.observations.flight)
     first = task.free.flights[start.reached]
     assert first is not None
     assert first.flight.covariance is not None
     return Fit(
         parameters={"chi": _UNKNOWN},
         initial=start.state,
-        initial_covariance=first.flight.covariance * variance * tau,
+        initial_covariance=first.flight.covariance * start.errors.scale,
         chosen=_chosen(start.physics),
         considered=(),
         bounces_fitted=0,
@@ -346,14 +344,14 @@ def parameters_of(
     """The free parameters of a fit, or those that are wanted, each with an interval that covers those of all trajectories which
     fit as well as the first; a value of None where the frames leave all of its range open."""
     best, found = alternatives[0], {}
-    variance, tau = best.inflation
-    scale, drawn, z = variance * tau, {}, normal_quantile(INTERVAL_LEVEL)
+    covariance = inflated_covariance(best, free.huber_threshold)
+    drawn, z = {}, normal_quantile(INTERVAL_LEVEL)
     if free.choices.intervals == "bootstrap":
         drawn = bootstrap_intervals(best, free.huber_threshold, level=INTERVAL_LEVEL)
     for k, name in enumerate(best.physics.free, start=12):
         if wanted is not None and name not in wanted:
             continue
-        sigma = float(np.sqrt(best.covariance[k, k] * scale))
+        sigma, scale = float(np.sqrt(covariance[k, k])), float(covariance[k, k] / best.covariance[k, k])
         value, bounds = best.physics.values[name], best.physics.bounds(name)
         if free.choices.intervals == "profile":
             ends = [_profile(one, name, best, scale, free) for one in alternatives]
@@ -365,16 +363,19 @@ def parameters_of(
 
 
 def _variance_shares(
-    best: Trajectory, names: tuple[str, ...], k2: float, inflation: float
+    best: Trajectory, names: tuple[str, ...], k2: float, covariance: Array
 ) -> dict[str, dict[str, float]]:
-    """What each parameter's variance comes from: the stated errors of the frames (`noise`), the sources of shared errors, and
-    what the residuals show beyond all of these (`impact law`). Empty where frames share no error."""
+    """What each parameter's variance in `covariance` comes from: the stated errors of the frames (`noise`), the sources of shared
+    errors, and what the residuals show beyond all of these (`impact law`). Empty where frames share no error."""
     by_source = variance_shares(best.observations, linearised(best, k2), best.covariance)
     found = {}
     for k, name in enumerate(names, start=12) if by_source else ():
-        own = {source: float(shares[k]) for source, shares in by_source.items()}
-        frames = max(0.0, 1.0 - sum(own.values()))
-        found[name] = {"noise": frames / inflation, **own, "impact law": frames * (1.0 - 1.0 / inflation)}
+        stated = float(best.covariance[k, k] / covariance[k, k])
+        own = {
+            source: best.observations.shared_weight * stated * float(shares[k]) for source, shares in by_source.items()
+        }
+        noise = stated * max(0.0, 1.0 - sum(float(shares[k]) for shares in by_source.values()))
+        found[name] = {"noise": noise, **own, "impact law": max(0.0, 1.0 - noise - sum(own.values()))}
     return found
 
 

@@ -100,20 +100,20 @@ PROFILE = _article(
     "1988",
     "10.2307/2347496",
 )
-BLOCKS = _article(
-    "kunsch1989",
-    "H. R. Künsch",
-    "The jackknife and the bootstrap for general stationary observations",
-    "Annals of Statistics",
-    "17",
-    "1217--1241",
-    "1989",
-    "10.1214/aos/1176347265",
+SIEVE = _article(
+    "buhlmann1997",
+    "P. Bühlmann",
+    "Sieve bootstrap for time series",
+    "Bernoulli",
+    "3",
+    "123--148",
+    "1997",
+    "10.2307/3318584",
 )
 INTERVALS = {
     "profile": ("profile-likelihood interval", PROFILE),
     "covariance": ("interval from the covariance of the fit", None),
-    "bootstrap": ("interval from a bootstrap of blocks of residuals", BLOCKS),
+    "bootstrap": ("interval from a bootstrap of the residuals", SIEVE),
 }
 """The kinds of intervals in words, and their sources."""
 RESTITUTIONS = {

@@ -10,6 +10,8 @@
   const LOWEST = 0.03; // radians of elevation, just above the table
   const NUMBERED = 9; // bounces with their number: the later ones of a long throw lie close together
   const MEASURED_WIDTH = 3.5, MODEL_WIDTH = 1.3; // pixels: where both agree, the model's line lies within the measured one
+  const WIDEST = 0.08; // line of an edge, in the radius of the die as it is seen
+  const SMALL = 0.07; // radius of a die in that of the whole throw below which the view follows it from the beginning
   const LIGHT = [0.36, -0.48, 0.8];
   const CORNER_UNITS = 8; // corners in the picture are stored in eighths of a pixel
   const UNKNOWN = -32768; // stored in the place of a corner that the camera does not see
@@ -73,6 +75,8 @@
     for (const motion of motions)
       for (let k = 0; k <= last; k++)
         if (isKnown(motion, k)) extent = Math.max(extent, size + Math.hypot(...difference(positionOf(motion, k), middle)));
+
+    view.follow = part("follow").checked = size < SMALL * extent;
 
     // --- the view ---
 
@@ -182,7 +186,9 @@
         pen.fill();
       }
       pen.strokeStyle = motion.colour;
-      pen.lineWidth = motion === motions[0] ? MEASURED_WIDTH : MODEL_WIDTH;
+      const [x, y] = seen.on(positionOf(motion, row));
+      const radius = Math.max(...corners.map(seen.on).map(([cx, cy]) => Math.hypot(cx - x, cy - y)));
+      pen.lineWidth = Math.min(motion === motions[0] ? MEASURED_WIDTH : MODEL_WIDTH, WIDEST * radius);
       faces.forEach((face, k) => {
         if (dot(normals[k], difference(seen.eye, face[0])) <= 0) return;
         pen.beginPath();

@@ -4,6 +4,7 @@
 fits flights joined by impacts together, solved link by link (`chain_solver`); `error_model` estimates how large and how long
 correlated the errors of the frames are. Which flights there are, and what joins them, is found in `throw`."""
 
+from .error_model import error_model_of as error_model_of
 from .error_model import estimate_error_model as estimate_error_model
 from .flight_chain import CONTACT_SIGMA_M as CONTACT_SIGMA_M
 from .flight_chain import CUTOFF_SIGMAS as CUTOFF_SIGMAS

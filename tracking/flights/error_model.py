@@ -64,7 +64,7 @@ def estimate_error_model(
     `shared` (m,) are the shared errors [px], `weights` (n,) those of a robust fit: frames below INLIER_WEIGHT are left out. If no
     flight has MIN_FRAMES, errors are taken as white and as stated.
     """
-    times, series, ends = [], [], [0]
+    times, series = [], []
     every = max(1, max(rows.stop - rows.start for rows in parts) // MAX_FRAMES)
     for rows, state in zip(parts, states, strict=True):
         inside = np.flatnonzero(weights[rows] > INLIER_WEIGHT)[::every] + rows.start
@@ -73,18 +73,36 @@ def estimate_error_model(
             bias = part.whitener @ (part.bias_jacobian @ shared)[:, :, None]
             times.append(part.time_s)
             series.append(flight_residuals(part, state) - bias[:, :, 0])
-            ends.append(ends[-1] + len(part))
-    if not times:
+    return _of_series(times, series, PRIOR_FRAMES, 1.0) if times else ErrorModel.white()
+
+
+def error_model_of(times_s: Sequence[Array], residuals: Sequence[Array]) -> ErrorModel:
+    """The error model of whitened residuals (n, 6) of flights, at their times (n,) [s], of which nothing else is known.
+
+    White errors of any size, and the correlated ones of the grid together, are as likely as each other beforehand. Flights with
+    fewer than MIN_FRAMES frames are left out; without any other the errors are taken as white and as stated."""
+    chosen = [k for k, time_s in enumerate(times_s) if len(time_s) >= MIN_FRAMES]
+    if not chosen:
         return ErrorModel.white()
+    every = max(1, max(len(times_s[k]) for k in chosen) // MAX_FRAMES)
+    return _of_series([times_s[k][::every] for k in chosen], [residuals[k][::every] for k in chosen], 0.0, np.inf)
+
+
+def _of_series(times: Sequence[Array], series: Sequence[Array], prior_frames: float, white_odds: float) -> ErrorModel:
+    """The error model of the residuals (n, 6) of one flight or more. As many frames as `prior_frames` count as if the white part
+    were as stated. `white_odds` are those of white errors beforehand, in grid points of correlated ones; inf for as many as there
+    are."""
+    ends = np.cumsum([0, *map(len, times)])
     spacing_s = float(np.median(np.concatenate([np.diff(t) for t in times])))
     longest_s = max(float(t[-1] - t[0]) for t in times) / DETERMINED_SHARE
     frames, ratios = _grid(longest_s / spacing_s)
     correlation_times_s = frames * spacing_s
     likelihood, variance = np.empty((2, 6, len(correlation_times_s), len(ratios)))
     residuals = np.vstack(series)
-    _fill(np.concatenate(times), residuals, np.array(ends), ratios, correlation_times_s, likelihood, variance)
+    _fill(np.concatenate(times), residuals, ends, ratios, correlation_times_s, prior_frames, likelihood, variance)
     pooled = (1.0 - POOLED_SHARE) * likelihood + POOLED_SHARE * likelihood.sum(axis=0)
     odds = np.exp(-0.5 * (pooled - pooled.min(axis=(1, 2), keepdims=True)))
+    odds[:, :, 0] *= min(white_odds, len(ratios) - 1.0)
     odds /= odds.sum(axis=(1, 2), keepdims=True)
     return _mean_model(odds, variance, correlation_times_s, ratios, spacing_s)
 
@@ -111,8 +129,8 @@ def _mean_model(
 
 @compiled(nogil=True)
 def _fill(
-    time: Array, series: Array, ends: NDArray[np.int64], ratios: Array, correlation_times_s: Array, likelihood: Array,
-    variance: Array,
+    time: Array, series: Array, ends: NDArray[np.int64], ratios: Array, correlation_times_s: Array, prior_frames: float,
+    likelihood: Array, variance: Array,
 ) -> None:  # fmt: skip
     """Fill -2 l, up to a constant, and σ² of each of the six series (n, 6) at each correlation time and variance ratio.
 
@@ -122,16 +140,18 @@ def _fill(
         for k in range(1, len(time)):
             keep[k] = exp(-(time[k] - time[k - 1]) / correlation_times_s[j])
         for k in range(len(ratios)):
-            _likelihoods(time, series, ends, ratios[k], keep, found)
+            _likelihoods(time, series, ends, ratios[k], keep, prior_frames, found)
             for i in range(6):
                 likelihood[i, j, k], variance[i, j, k] = found[i, 0], found[i, 1]
 
 
 @inner
-def _likelihoods(time: Array, series: Array, ends: NDArray[np.int64], ratio: float, keep: Array, found: Array) -> None:
+def _likelihoods(
+    time: Array, series: Array, ends: NDArray[np.int64], ratio: float, keep: Array, prior_frames: float, found: Array
+) -> None:
     """Fill -2 l and σ² (6, 2) for one variance ratio and one correlation time, whose decay over each interval is `keep` (n,)."""
-    log_determinant, free = 0.0, PRIOR_FRAMES
-    squares = np.full(6, PRIOR_FRAMES)
+    log_determinant, free = 0.0, prior_frames
+    squares = np.full(6, prior_frames)
     row, predicted, moments = np.empty(8), np.empty(8), np.empty((3, 6))
     for flight in range(len(ends) - 1):
         begin, end = ends[flight], ends[flight + 1]

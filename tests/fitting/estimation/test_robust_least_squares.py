@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from throws import random_release, seen, true_throw
 
-from diethrow.fitting.estimation.intervals import correlation_time, profile_interval, variance_inflation
+from diethrow.fitting.estimation.intervals import profile_interval
 from diethrow.fitting.estimation.least_squares import (
     HUBER_THRESHOLD,
     compressed,
@@ -65,15 +65,6 @@ def test_compressed_rows_keep_all_squares_and_products(rows: int) -> None:
     assert (np.diag(root) >= 0.0).all()
 
 
-def test_repeated_residuals_have_the_correlation_time_of_their_repetition() -> None:
-    rng = np.random.default_rng(3)
-    flight = np.zeros(200, int)
-    assert correlation_time(rng.standard_normal((200, 6)), flight) < 1.15
-    # Each value occurs four times: n values count as n/4.
-    repeated = np.repeat(rng.standard_normal((50, 6)), 4, axis=0)
-    assert correlation_time(repeated, flight) == pytest.approx(4.0, rel=0.25)
-
-
 @pytest.mark.parametrize(("chi", "sigma"), [(0.5, 0.01), (0.99, 0.02), (1.0, 0.02), (0.01, 0.02), (0.0, 0.05)])
 def test_intervals_of_chi_stay_between_its_bounds(chi: float, sigma: float) -> None:
     low, high = profile_interval(chi, sigma, (0.0, 1.0), lambda x: ((x - chi) / sigma) ** 2)
@@ -102,17 +93,3 @@ def test_an_unknown_that_does_not_move_and_is_beyond_its_bound_by_rounding_harms
 
     x = levenberg_marquardt(evaluate, np.eye(2), np.array([1e-18, -np.inf]), np.array([np.inf, np.inf]))
     assert x == pytest.approx([0.0, 1.0], abs=1e-12)
-
-
-def test_correlated_errors_that_are_stated_as_larger_independent_ones_widen_nothing() -> None:
-    rng = np.random.default_rng(3)
-    keep, n = 0.9, 20_000
-    errors = rng.standard_normal((n, 6))
-    for k in range(1, n):
-        errors[k] = keep * errors[k - 1] + np.sqrt(1.0 - keep**2) * errors[k]
-    flight = np.zeros(n, int)
-    # A mean over n frames has the variance (1 + φ)/((1 - φ) n) = 19/n.
-    for stated, wanted in ((1.0, 19.0), (np.sqrt(19.0), 1.0), (19.0, 1.0)):
-        variance, tau = variance_inflation(errors / stated, errors.size, flight)
-        assert tau == pytest.approx(19.0, rel=0.15)
-        assert variance * tau == pytest.approx(wanted, rel=0.15)

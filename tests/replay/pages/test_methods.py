@@ -48,9 +48,9 @@ def test_friction_and_the_kind_of_interval_are_cited() -> None:
     paragraphs, references = methods_text(made.record(fit=fit), ReportDetails())
     assert "The model includes friction." in paragraphs[1]
     assert "[3]; χ² is the ratio of the work" in paragraphs[1]
-    assert "bootstrap of blocks of residuals [4], is χ = 0.60" in paragraphs[1]
+    assert "bootstrap of the residuals [4], is χ = 0.60" in paragraphs[1]
     assert ", μ = 0.20" in paragraphs[1]
-    assert [reference.key for reference in references][2:] == ["stronge1990", "kunsch1989"]
+    assert [reference.key for reference in references][2:] == ["stronge1990", "buhlmann1997"]
 
 
 def test_what_is_not_known_is_not_said() -> None:

@@ -61,7 +61,7 @@ def fit_track(
         if tracked is not None:
             fit = replace(fit, messages=(*fit.messages, *scene.assumptions))
         record = Record(
-            title=scene.title or track_path.stem,
+            title=scene.title or _name_of(track_path),
             die=die,
             track=found.smoothed,
             measured=measured,
@@ -129,6 +129,11 @@ def refitted(analysis: AnalysedThrow, effects: tuple[str, ...] | None, intervals
         estimates = estimate_sequentially(frames, record.measured, record.die, fit, silent, watch, table)
     record = replace(record, fit=fit, simulated=model_track(fit, record.track), estimates=estimates)
     return replace(analysis, record=record, folder=None, seconds=watch.seconds)
+
+
+def _name_of(track_path: Path) -> str:
+    """The name of the track, or that of the folder of results that it lies in."""
+    return track_path.resolve().parent.name if track_path.stem in ("track", "track_frames") else track_path.stem
 
 
 def record_replay(
