@@ -54,6 +54,8 @@ SAMPLE = ROOT / "data_samples" / "cube_wood"
 WRONG_DEG, WRONG_M = 5.0, 1e-3
 MATCHED_FRAMES = 1.5
 """A bounce belongs to a true one that is no farther away than this."""
+SEVERAL = -1.0
+"""In the place of several corners that touch at one instant: no single corner is the right one."""
 LONE_FRAMES, MARGIN_FRAMES = 2.0, 3
 """Bounces nearer than the first count as one contact, which nobody can take apart; nearer to an end of the film than the
 second, one of their flights is too short to be seen."""
@@ -149,10 +151,14 @@ def read_truth(folder: Path) -> Truth:
 
 
 def read_columns(path: Path) -> dict[str, Array]:
-    """The columns of a CSV file of numbers; none where it has no rows."""
+    """The columns of a CSV file of numbers; none where it has no rows. Several numbers in a cell, as of corners that touch at one
+    instant, are SEVERAL."""
     with path.open(newline="") as file:
         rows = list(csv.DictReader(file))
-    return {name: np.array([float(row[name]) for row in rows]) for name in (rows[0] if rows else ())}
+    return {
+        name: np.array([SEVERAL if " " in row[name] else float(row[name]) for row in rows])
+        for name in (rows[0] if rows else ())
+    }
 
 
 # --- the poses --------------------------------------------------------------------------------------------------------

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import resource
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -27,3 +28,12 @@ def spread(values: Sequence[float], digits: int = 0) -> str:
 def peak_MB() -> float:
     """Peak memory of this process."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def write_table(page: Path, name: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Replace the table that a benchmark of this name has written into a page of the documents, between its marks."""
+    begin, end = f"<!-- written by benchmarks/{name} -->", "<!-- end -->"
+    before, rest = page.read_text(encoding="utf-8").split(begin)
+    _, after = rest.split(end, 1)
+    table = "\n".join("| " + " | ".join(cells) + " |" for cells in (heads, ["---"] * len(heads), *rows))
+    page.write_text(f"{before}{begin}\n\n{table}\n\n{end}{after}", encoding="utf-8")

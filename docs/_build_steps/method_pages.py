@@ -5,7 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 
 FIRST = ("model", "tracking", "fitting", "replay")
-OTHERS = ("index", "tutorial", "scene", "results", "accuracy", "glossary", "api", "comparison", "methods")
+OTHERS = (
+    "index",
+    "tutorial",
+    "scene",
+    "results",
+    "accuracy",
+    "glossary",
+    "api",
+    "comparison",
+    "methods",
+    "phone",
+    "equipment",
+)
 """Pages that are about something else."""
 
 
