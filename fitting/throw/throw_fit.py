@@ -375,7 +375,10 @@ def _variance_shares(
             source: best.observations.shared_weight * stated * float(shares[k]) for source, shares in by_source.items()
         }
         noise = stated * max(0.0, 1.0 - sum(float(shares[k]) for shares in by_source.values()))
-        found[name] = {"noise": noise, **own, "impact law": max(0.0, 1.0 - noise - sum(own.values()))}
+        # Frames that are better than stated leave their covariance as it is, and the sum above 1.
+        sum_of_all = max(1.0, noise + sum(own.values()))
+        parts = {source: share / sum_of_all for source, share in {"noise": noise, **own}.items()}
+        found[name] = {**parts, "impact law": 1.0 - sum(parts.values())}
     return found
 
 

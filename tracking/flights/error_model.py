@@ -50,8 +50,10 @@ SMALLER_RATIOS = 0.05 * 1000.0 ** (np.arange(-LONGER, 0) / 10.0)
 """The smaller variance ratios that LONGER adds."""
 CORRELATION_FRAMES = np.append(np.geomspace(0.7, 60.0, 10), 60.0 * (60.0 / 0.7) ** (np.arange(1, LONGER + 1) / 9.0))
 """Grid of the correlation time T, in frames; the last are those that LONGER adds."""
-POOLED_SHARE = 0.2
-"""Share with which each of the five other series counts in the likelihood of one."""
+POOLED = 0.8 * np.eye(6) + 0.2
+"""With what weight the likelihood of each series counts in that of another: positions and rotations depend on the same light."""
+POOLED_BY_KIND = 0.5 * np.eye(6) + 0.5 * np.kron(np.eye(2), np.ones((3, 3)))
+"""The same where nothing is known of a track: what its positions show says nothing of its rotations."""
 DETERMINED_SHARE = 3.0
 """The longest correlation time is the longest flight over this: a longer one cannot be distinguished from the flight itself."""
 
@@ -73,7 +75,7 @@ def estimate_error_model(
             bias = part.whitener @ (part.bias_jacobian @ shared)[:, :, None]
             times.append(part.time_s)
             series.append(flight_residuals(part, state) - bias[:, :, 0])
-    return _of_series(times, series, PRIOR_FRAMES, 1.0) if times else ErrorModel.white()
+    return _of_series(times, series, POOLED, PRIOR_FRAMES, 1.0) if times else ErrorModel.white()
 
 
 def error_model_of(times_s: Sequence[Array], residuals: Sequence[Array]) -> ErrorModel:
@@ -85,13 +87,18 @@ def error_model_of(times_s: Sequence[Array], residuals: Sequence[Array]) -> Erro
     if not chosen:
         return ErrorModel.white()
     every = max(1, max(len(times_s[k]) for k in chosen) // MAX_FRAMES)
-    return _of_series([times_s[k][::every] for k in chosen], [residuals[k][::every] for k in chosen], 0.0, np.inf)
+    times, series = [times_s[k][::every] for k in chosen], [residuals[k][::every] for k in chosen]
+    return _of_series(times, series, POOLED_BY_KIND, 0.0, np.inf)
 
 
-def _of_series(times: Sequence[Array], series: Sequence[Array], prior_frames: float, white_odds: float) -> ErrorModel:
-    """The error model of the residuals (n, 6) of one flight or more. As many frames as `prior_frames` count as if the white part
-    were as stated. `white_odds` are those of white errors beforehand, in grid points of correlated ones; inf for as many as there
-    are."""
+def _of_series(
+    times: Sequence[Array], series: Sequence[Array], pooled: Array, prior_frames: float, white_odds: float
+) -> ErrorModel:
+    """The error model of the residuals (n, 6) of one flight or more; `pooled` (6, 6) as POOLED.
+
+    As many frames as `prior_frames` count as if the white part were as stated. `white_odds` are those of white errors beforehand,
+    in grid points of correlated ones; inf for as many as there are.
+    """
     ends = np.cumsum([0, *map(len, times)])
     spacing_s = float(np.median(np.concatenate([np.diff(t) for t in times])))
     longest_s = max(float(t[-1] - t[0]) for t in times) / DETERMINED_SHARE
@@ -100,8 +107,8 @@ def _of_series(times: Sequence[Array], series: Sequence[Array], prior_frames: fl
     likelihood, variance = np.empty((2, 6, len(correlation_times_s), len(ratios)))
     residuals = np.vstack(series)
     _fill(np.concatenate(times), residuals, ends, ratios, correlation_times_s, prior_frames, likelihood, variance)
-    pooled = (1.0 - POOLED_SHARE) * likelihood + POOLED_SHARE * likelihood.sum(axis=0)
-    odds = np.exp(-0.5 * (pooled - pooled.min(axis=(1, 2), keepdims=True)))
+    joint = np.einsum("ij,jkl->ikl", pooled, likelihood)
+    odds = np.exp(-0.5 * (joint - joint.min(axis=(1, 2), keepdims=True)))
     odds[:, :, 0] *= min(white_odds, len(ratios) - 1.0)
     odds /= odds.sum(axis=(1, 2), keepdims=True)
     return _mean_model(odds, variance, correlation_times_s, ratios, spacing_s)
