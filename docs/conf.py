@@ -66,7 +66,7 @@ html_theme_options = {
     "footer_start": [],
     "footer_end": [],
 }
-html_sidebars = {page: [] for page in ("index", "tutorial", "comparison")}
+html_sidebars = {page: [] for page in ("index", "tutorial", "phone", "equipment", "comparison")}
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_show_sourcelink = False
