@@ -1,8 +1,8 @@
 """Estimation: observations and their weights, robust least squares, and the intervals that follow.
 
 `FlightObservations` are the usable frames of a track, each with the matrix that whitens its errors. `levenberg_marquardt` fits
-them under bounds, with a loss that bad frames cannot bend (`huber`). `residual_errors` finds what
-the residuals show of errors and law, and `profile_interval` follows the likelihood of one parameter.
+them under bounds, with a loss that bad frames cannot bend (`huber`). `residual_errors` finds what the residuals show of the
+frames and of the law, and `profile_interval` follows the likelihood of one parameter.
 """
 
 from .intervals import normal_quantile as normal_quantile

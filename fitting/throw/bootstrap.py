@@ -31,7 +31,7 @@ def bootstrap_intervals(
     frames, errors = trajectory.observations, trajectory.errors
     innovations = errors.innovations(trajectory.residuals, frames.time_s, frames.flight)
     # A fit leaves residuals a little smaller than the errors were; a law that misses leaves them larger.
-    innovations *= np.sqrt(errors.misfit) / np.sqrt((innovations**2).mean(0))
+    innovations *= np.sqrt(errors.misfit) / np.maximum(np.sqrt((innovations**2).mean(0)), np.finfo(float).tiny)
     found = []
     for _ in range(draws):
         drawn = innovations[rng.integers(len(innovations), size=len(innovations))]

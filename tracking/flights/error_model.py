@@ -41,6 +41,8 @@ INLIER_WEIGHT = 0.3
 """Least weight (Tukey's biweight) of a frame that is used."""
 PRIOR_FRAMES = 4.0
 """Weight of the stated sigmas: that of this many frames whose errors are as stated."""
+LEAST_PRIOR_FRAMES = 1e-9
+"""The same where nothing else is known: enough that residuals of exactly zero have a variance."""
 LONGER = 4
 """Grid points added for flights long enough to determine them: longer correlation times, and as many smaller variance ratios,
 which over so many frames count as much in a mean."""
@@ -88,7 +90,7 @@ def error_model_of(times_s: Sequence[Array], residuals: Sequence[Array]) -> Erro
         return ErrorModel.white()
     every = max(1, max(len(times_s[k]) for k in chosen) // MAX_FRAMES)
     times, series = [times_s[k][::every] for k in chosen], [residuals[k][::every] for k in chosen]
-    return _of_series(times, series, POOLED_BY_KIND, 0.0, np.inf)
+    return _of_series(times, series, POOLED_BY_KIND, LEAST_PRIOR_FRAMES, np.inf)
 
 
 def _of_series(

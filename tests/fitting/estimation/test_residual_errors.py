@@ -100,6 +100,22 @@ def test_correlated_errors_that_are_stated_as_larger_independent_ones_widen_noth
         assert residual_errors(errors / stated, time_s, flight, 0).scale == pytest.approx(wanted, rel=0.35)
 
 
+@pytest.mark.parametrize("size", [0.0, 1e-160, 1e-9, 1e9])
+def test_residuals_of_any_size_have_a_finite_error_model(size: float) -> None:
+    rng, (time_s, flight) = np.random.default_rng(6), frames_of(2, 30)
+    found = residual_errors(size * rng.standard_normal((60, 6)), time_s, flight, 13)
+    assert np.isfinite([found.variance, found.correlation_time, found.misfit, found.scale]).all()
+    assert found.scale == (1.0 if size < 1.0 else pytest.approx(found.variance * found.correlation_time * found.misfit))
+    assert np.isfinite(found.innovations(size * rng.standard_normal((60, 6)), time_s, flight)).all()
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3, 9])
+def test_flights_of_few_frames_are_taken_as_stated(frames: int) -> None:
+    rng = np.random.default_rng(8)
+    found = residual_errors(rng.standard_normal((2 * frames, 6)), *frames_of(2, frames), 13)
+    assert (found.variance, found.correlation_time) == (1.0, 1.0)
+
+
 def test_no_direction_of_a_covariance_falls_below_what_the_frames_state() -> None:
     rng = np.random.default_rng(4)
     root = np.triu(rng.standard_normal((5, 5))) + 4.0 * np.eye(5)
