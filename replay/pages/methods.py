@@ -182,10 +182,14 @@ def _measurement(record: Record, origin: Mapping[str, Any], citations: Citations
         f"A die ({solid.name}, {length}, mass {number(1e3 * record.die.mass_kg)} g) was filmed at {number(record.fps, 6)} frames "
         "per second."
     )
-    yield (
-        f"Its pose was measured on {int(track.tracked.sum())} of the {plural(visible, 'frame')} that show it, with diethrow "
-        f"{citations.mark(program)}."
+    frames = f"{int(track.tracked.sum())} of the {plural(visible, 'frame')} that show it"
+    # Without a camera the track may be from any program.
+    measured = (
+        f"Its pose was measured on {frames}, with"
+        if record.camera
+        else f"Its pose is given on {frames}, and was analysed with"
     )
+    yield f"{measured} diethrow {citations.mark(program)}."
     variances = np.einsum("kii->ki", track.covariance[track.tracked])
     if len(variances) and np.isfinite(variances).all():
         errors = np.sqrt(np.median(variances, axis=0))

@@ -63,6 +63,11 @@ def test_what_is_not_known_is_not_said() -> None:
     assert [reference.key for reference in references] == ["diethrow"]
 
 
+def test_a_track_without_a_camera_is_not_said_to_be_measured_by_this_program() -> None:
+    paragraphs, _ = methods_text(made.record(camera=None, clip=None), ReportDetails())
+    assert "Its pose is given on 53 of the 57 frames that show it, and was analysed with diethrow [1]." in paragraphs[0]
+
+
 def test_bibtex_has_an_entry_for_each_reference_with_balanced_braces() -> None:
     references = methods_text(made.record(), ReportDetails())[1]
     text = bibtex(references)
