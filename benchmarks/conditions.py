@@ -27,6 +27,7 @@ from population import DEFAULT_CACHE, read_results, results_path
 from population_clips import Draw, draw_clip
 from scipy.stats import binomtest
 
+from diethrow.model.die import SHAPES
 from diethrow.tracking.quality import QUALITIES
 
 Condition = tuple[str, Callable[[Draw], bool]]
@@ -42,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--page", type=Path, help="write the table into this page, between its marks")
     chosen = parser.parse_args(arguments)
     path = results_path(chosen.cache, chosen.seed, chosen.label, chosen.quality, "exact")
-    results = [one for one in read_results(path).values() if one["outcome"] == "analysed"]
+    results = [one for one in read_results(path).values() if one["outcome"] == "analysed" and "nees" in one]
     if not results:
         print(f"no results of seed {chosen.seed}, label {chosen.label}: run benchmarks/population.py", file=sys.stderr)
         return 1
@@ -93,6 +94,10 @@ def _between(name: str, value: Callable[[Draw], float], limits: Sequence[float],
     return [within(low, high) for low, high in pairwise(limits)]
 
 
+def _of_shape(shape: str) -> Condition:
+    return shape, lambda draw: draw.die.solid.name == shape
+
+
 CONDITIONS: list[Condition] = [
     *_between("die across", size_px, (40, 60, 90, 160), " px"),
     *_between("rate", lambda draw: draw.fps, (240, 500, 1500, 5001), " frames/s"),
@@ -116,10 +121,7 @@ CONDITIONS: list[Condition] = [
     ("MJPEG", lambda draw: draw.codec == "mjpeg"),
     ("H.264", lambda draw: draw.codec == "h264"),
     ("HEVC", lambda draw: draw.codec == "hevc"),
-    *(
-        (shape, lambda draw, shape=shape: draw.die.solid.name == shape)  # type: ignore[misc]
-        for shape in ("tetrahedron", "cube", "octahedron", "dodecahedron", "icosahedron")
-    ),
+    *map(_of_shape, SHAPES),
 ]
 
 

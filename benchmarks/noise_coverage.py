@@ -20,6 +20,7 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from measuring import write_table
@@ -108,7 +109,7 @@ def observed(throw: Throw, kind: str, rng: np.random.Generator) -> Track:
     return replace(track, position_m=positions + errors[:, :3], quaternion=turned)
 
 
-def one(seed: int, kind: str, methods: Sequence[IntervalMethod]) -> dict[str, object] | None:
+def one(seed: int, kind: str, methods: Sequence[IntervalMethod]) -> dict[str, Any] | None:
     """One throw: which intervals contain the truth; None where χ is not determined."""
     rng = np.random.default_rng([seed, list(KINDS).index(kind), 27])
     die, chi, impacts = DICE[seed % 3], rng.uniform(0.1, 0.95), int(rng.integers(1, 5))
@@ -146,9 +147,9 @@ def share(hits: Sequence[bool]) -> str:
     return f"{100 * np.mean(hits):.1f} % ({100 * low:.1f} to {100 * high:.1f}), n = {len(hits)}"
 
 
-def row(kind: str, results: Sequence[dict[str, object]]) -> list[str]:
+def row(kind: str, results: Sequence[dict[str, Any]]) -> list[str]:
     """The cells of one kind of noise."""
-    chi = {m: [r["chi"][m] for r in results if r["chi"].get(m) is not None] for m in METHODS}  # type: ignore[attr-defined, index]
+    chi = {m: [r["chi"][m] for r in results if r["chi"].get(m) is not None] for m in METHODS}
     state = np.array([r["state"] for r in results])
     parts = [f"{100 * state[:, 3 * k : 3 * k + 3].mean():.1f}" for k in range(4)]
     effects = [bool(r["effect"]) for r in results]

@@ -46,5 +46,5 @@ thrown("d10", edge_m=0.016, short_edge_m=0.0075)
 thrown("cuboid", edges_m=[0.012, 0.0144, 0.018])
 
 # %%
-# A dipyramid of five sides with cut tips, as in the paper.
+# A dipyramid of five sides with cut tips.
 thrown("dipyramid", sides=5, radius_m=0.012, half_height_m=0.018, cut=0.4)

@@ -6,7 +6,7 @@ holds. A sentence whose facts are missing is left out.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -153,9 +153,8 @@ def methods_text(record: Record, details: ReportDetails) -> tuple[list[str], lis
     return paragraphs, citations.references
 
 
-def methods_html(record: Record, details: ReportDetails) -> str:
-    """The section of a page."""
-    paragraphs, references = methods_text(record, details)
+def methods_html(paragraphs: Sequence[str], references: Sequence[Reference]) -> str:
+    """The section of a page, from what `methods_text` gives."""
     listed = "\n".join(f"<li>{escape(reference.text)}</li>" for reference in references)
     return (
         "<h2>Methods, to be pasted into a paper</h2>\n"
@@ -165,7 +164,7 @@ def methods_html(record: Record, details: ReportDetails) -> str:
     )
 
 
-def bibtex(references: list[Reference]) -> str:
+def bibtex(references: Sequence[Reference]) -> str:
     """The entries of all references."""
     return "\n".join(reference.bibtex for reference in references)
 

@@ -65,6 +65,7 @@ def write_report(path: Path, record: Record, details: ReportDetails | None = Non
 def report_page(record: Record, details: ReportDetails | None = None, replay: Path | None = None) -> str:
     """The page as HTML; every text from outside the program is escaped."""
     details = details or ReportDetails()
+    paragraphs, references = methods_text(record, details)
     parts = [
         f"<h1>{escape(record.title)}</h1>",
         _subtitle(record),
@@ -75,8 +76,8 @@ def report_page(record: Record, details: ReportDetails | None = None, replay: Pa
         _residuals(record, details),
         _landing(record),
         _checks(record, details),
-        methods_html(record, details),
-        downloads_html({**details.tables, "references.bib": bibtex(methods_text(record, details)[1])}),
+        methods_html(paragraphs, references),
+        downloads_html({**details.tables, "references.bib": bibtex(references)}),
         _origin(details.origin),
         viewer_html(replay) if replay is not None else "",
         player_script(),

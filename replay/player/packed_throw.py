@@ -6,7 +6,7 @@
 | `frame`, `time_ms` | (n,) int32 and float32 |
 | `motions` | `name`, `colour`; `poses` (n, 7) float32 [m, wxyz], NaN without one; `corners` (n, vertices, 2) int16, or null |
 | `picture_px` | width and height of the picture, null without one; then `corners` are null as well |
-| `impacts` | `time_ms`, `x_m`, `y_m` |
+| `impacts` | all bounces in their order: `time_ms`, `place_m` (x, y), null where it is not known |
 | `view` | azimuth and elevation [rad] of the eye, seen from the throw: those of the camera |
 | `grid_m` | distance of the lines on the table |
 
@@ -71,7 +71,7 @@ def packed_throw(
         "time_ms": _text(np.array([1e3 * times[k] for k in frame.tolist()]).astype("<f4")),
         "motions": [_motion(solid, motion, frame, camera) for motion in motions],
         "picture_px": None if camera is None else [camera.width_px, camera.height_px],
-        "impacts": [_impact(impact) for impact in impacts if np.isfinite(impact.point_m).all()],
+        "impacts": [_impact(impact) for impact in impacts],
         "view": list(USUAL_VIEW if camera is None else _view(camera, motions[0])),
         "grid_m": grid_m,
     }
@@ -106,9 +106,9 @@ def _motion(solid: Solid, motion: Motion, frame: NDArray[np.int64], camera: Came
     }
 
 
-def _impact(impact: Impact) -> dict[str, float]:
-    x_m, y_m = np.round(impact.point_m, 6).tolist()
-    return {"time_ms": round(1e3 * impact.time_s, 4), "x_m": x_m, "y_m": y_m}
+def _impact(impact: Impact) -> dict[str, Any]:
+    place_m = np.round(impact.point_m, 6).tolist() if np.isfinite(impact.point_m).all() else None
+    return {"time_ms": round(1e3 * impact.time_s, 4), "place_m": place_m}
 
 
 def _view(camera: Camera, motion: Motion) -> tuple[float, float]:

@@ -142,7 +142,8 @@
       pen.textAlign = "left";
       pen.textBaseline = "bottom";
       data.impacts.forEach((impact, k) => {
-        const [x, y] = seen.on([impact.x_m, impact.y_m, 0]);
+        if (impact.place_m === null) return;
+        const [x, y] = seen.on([...impact.place_m, 0]);
         const past = impact.time_ms <= times[row];
         pen.strokeStyle = pen.fillStyle = past ? ink : soft;
         pen.lineWidth = past ? 2 : 1;

@@ -6,6 +6,7 @@ import base64
 import hashlib
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +73,14 @@ def test_frames_without_a_pose_have_none() -> None:
     frame = numbers(data["frame"], "<i4")
     tracked = set(record.track.frame[record.track.tracked].tolist())
     assert set(frame.tolist()) == tracked
+
+
+def test_a_bounce_whose_place_is_not_known_keeps_its_number() -> None:
+    known = made.throw().impacts[0]
+    unknown = replace(known, time_s=known.time_s - 0.005, point_m=np.full(2, np.nan))
+    motions = motions_of(made.record())
+    impacts = data_of(player_html(made.die().solid, motions, (unknown, known)))["impacts"]
+    assert [impact["place_m"] for impact in impacts] == [None, [0.0, 0.0]]
 
 
 def test_a_corner_that_the_camera_does_not_see_is_marked() -> None:
