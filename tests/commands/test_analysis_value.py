@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 import shutil
@@ -199,6 +200,16 @@ def test_a_recording_is_drawn_again_from_its_folder(folder: Path, tmp_path: Path
     assert invoke("replay", copy)[0] == 1
     assert invoke("replay", copy, "--redraw")[0] == 0
     assert contents(copy / "replay.rrd") == before
+
+
+def test_the_report_of_another_fit_hands_on_its_own_tables(folder: Path, tmp_path: Path) -> None:
+    again = dt.load(folder).fit(effects=(), intervals="covariance")
+    page = again.report(tmp_path / "report.html").read_text()
+    found = re.search('download="fit.json" href="data:application/json;base64,([^"]*)"', page)
+    assert found is not None
+    table = json.loads(base64.b64decode(found[1]))
+    assert table["choices"]["intervals"] == "covariance"
+    assert table["effects"]["considered"] == []
 
 
 def edit(path: Path, **entries: object) -> None:

@@ -128,7 +128,9 @@ def refitted(analysis: AnalysedThrow, effects: tuple[str, ...] | None, intervals
         fit = replace(fit, messages=(*fit.messages, *assumptions))
         estimates = estimate_sequentially(frames, record.measured, record.die, fit, silent, watch, table)
     record = replace(record, fit=fit, simulated=model_track(fit, record.track), estimates=estimates)
-    return replace(analysis, record=record, folder=None, seconds=watch.seconds)
+    # The tables that it was loaded with are those of the other fit.
+    details = replace(analysis.details, tables={})
+    return replace(analysis, record=record, details=details, folder=None, seconds=watch.seconds)
 
 
 def _name_of(track_path: Path) -> str:
