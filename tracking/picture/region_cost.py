@@ -1,6 +1,6 @@
 """The region cost of a pose: how badly the drawn die explains the pixels around it, in a kernel.
 
-Inside a face the image should be the mean grey of that face; outside the die it should be the background, or a darker
+Inside a face the image should be the median grey of that face; outside the die it should be the background, or a darker
 shade of it. The cost is the mean over sampled pixels of truncated squared sigmas. `pose_costs` says how it relates to
 the other costs of a pose.
 """
@@ -41,9 +41,6 @@ FACE_SIGMAS = 2.0
 """Noise of a pixel on a face, over that of the background: grain and marks."""
 FACE_SHADING = 0.04
 """Standard deviation of shading over a face, as a share of its grey; added in quadrature."""
-MARK_SIGMAS = 12.0
-"""Distance from the mean of a face, in noise of the background, beyond which a pixel is a mark and is left out of the
-mean."""
 DIFFERENT_SIGMAS = 3.0
 """Difference from the background, in its noise, from which a pixel shows something else."""
 NO_COST = 1e9
@@ -152,7 +149,7 @@ def _box_cost(
             count[f] = face_lines(shape, work, f, lines[f])
     columns = (high_x - low_x + stride - 1) // stride
     label = np.full(((high_y - low_y + stride - 1) // stride, columns), -1)
-    total, number, mean = np.zeros(nf), np.zeros(nf), np.zeros(nf)
+    number, grey = np.zeros(nf), np.zeros(nf)
     for i in range(label.shape[0]):
         y = low_y + i * stride
         for j in range(columns):
@@ -171,25 +168,19 @@ def _box_cost(
                     if contour > 0 and not within_rounded_outline(work.hull, contour, x, y, ball_px):
                         break
                     label[i, j] = f
-                    total[f] += image[y - y0, x - x0]
                     number[f] += 1.0
                     break
+    # Marks may be far brighter than a face, and would bias its mean.
+    own = np.empty(label.size)
     for f in range(nf):
-        mean[f] = total[f] / max(number[f], 1.0)
-    # Marks bias the mean: it is taken again without pixels far from it.
-    total[:] = 0.0
-    number[:] = 0.0
-    for i in range(label.shape[0]):
-        for j in range(columns):
-            f = label[i, j]
-            if f >= 0:
-                value = image[low_y + i * stride - y0, low_x + j * stride - x0]
-                if abs(value - mean[f]) < MARK_SIGMAS * noise:
-                    total[f] += value
-                    number[f] += 1.0
-    for f in range(nf):
+        n = 0
         if number[f] > 0.0:
-            mean[f] = total[f] / number[f]
+            for i in range(label.shape[0]):
+                for j in range(columns):
+                    if label[i, j] == f:
+                        own[n] = image[low_y + i * stride - y0, low_x + j * stride - x0]
+                        n += 1
+            grey[f] = np.median(own[:n])
     cost, judged, inside, differs = 0.0, 0.0, 0.0, 0.0
     iv = 1.0 / (noise * noise)
     for i in range(label.shape[0]):
@@ -206,8 +197,8 @@ def _box_cost(
                 inside += 1.0
                 if abs(difference) > DIFFERENT_SIGMAS * noise:
                     differs += 1.0
-                e = value - mean[f]
-                variance = FACE_SIGMAS**2 * noise * noise + (FACE_SHADING * mean[f]) ** 2
+                e = value - grey[f]
+                variance = FACE_SIGMAS**2 * noise * noise + (FACE_SHADING * grey[f]) ** 2
                 cost += min(e * e / variance, SQUARED_SIGMAS_CUT)
             else:
                 cut = SHADOW_SQUARED_SIGMAS_CUT if difference < 0.0 else SQUARED_SIGMAS_CUT
