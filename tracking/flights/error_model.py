@@ -39,8 +39,9 @@ same, for a thousand frames of a film far faster than the die, and dominates the
 however is determined by neighbours, and would then describe lags that hardly count."""
 INLIER_WEIGHT = 0.3
 """Least weight (Tukey's biweight) of a frame that is used."""
-PRIOR_FRAMES = 4.0
-"""Weight of the stated sigmas: that of this many frames whose errors are as stated."""
+PRIOR_FRAMES = 1.0
+"""Weight of the stated sigmas: that of this many frames whose errors, of both parts together, are as stated. Where errors are
+smaller than stated, more of them would have slow errors, which flights can follow, make up for the rest."""
 LEAST_PRIOR_FRAMES = 1e-9
 """The same where nothing else is known: enough that residuals of exactly zero have a variance."""
 LONGER = 4
@@ -98,8 +99,8 @@ def _of_series(
 ) -> ErrorModel:
     """The error model of the residuals (n, 6) of one flight or more; `pooled` (6, 6) as POOLED.
 
-    As many frames as `prior_frames` count as if the white part were as stated. `white_odds` are those of white errors beforehand,
-    in grid points of correlated ones; inf for as many as there are.
+    As many frames as `prior_frames` count as if their errors, white and correlated together, were as stated. `white_odds` are
+    those of white errors beforehand, in grid points of correlated ones; inf for as many as there are.
     """
     ends = np.cumsum([0, *map(len, times)])
     spacing_s = float(np.median(np.concatenate([np.diff(t) for t in times])))
@@ -159,8 +160,9 @@ def _likelihoods(
     time: Array, series: Array, ends: NDArray[np.int64], ratio: float, keep: Array, prior_frames: float, found: Array
 ) -> None:
     """Fill -2 l and σ² (6, 2) for one variance ratio and one correlation time, whose decay over each interval is `keep` (n,)."""
-    log_determinant, free = 0.0, prior_frames
-    squares = np.full(6, prior_frames)
+    # A prior on the white part instead of the whole would make correlated errors too large wherever the white part is small.
+    log_determinant, free = prior_frames * log(1.0 + ratio), prior_frames
+    squares = np.full(6, prior_frames / (1.0 + ratio))
     row, predicted, moments = np.empty(8), np.empty(8), np.empty((3, 6))
     for flight in range(len(ends) - 1):
         begin, end = ends[flight], ends[flight + 1]

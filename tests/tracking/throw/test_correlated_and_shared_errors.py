@@ -70,7 +70,7 @@ def error_model_of(track: Track) -> ErrorModel:
 def test_independent_errors_are_estimated_as_such_at_their_true_scale(stated: float) -> None:
     rng = np.random.default_rng(3)
     found = error_model_of(seen(one_flight(rng), rng, stated=stated))
-    # 720 numbers determine a scale to 3 %; the prior of four frames adds up to 9 · 4/120 to the variance.
+    # 720 numbers determine a scale to 3 %; the prior of one frame adds up to 9/120 to the variance, or as much in slow errors.
     assert np.sqrt(found.variance).mean() == pytest.approx(1.0 / stated, rel=0.2)
     assert (found.long_run_variance(1.0 / FPS) / found.variance).max() < 3.0
 
