@@ -52,7 +52,7 @@ from ..picture import (
 from ..pose import ClipPoses, ManualInitialisation, as_track, excluded_rows, exposure_times_s, wholly_in_view
 from ..quality import STANDARD, Quality
 from ..surface_marks import SurfaceMarks
-from ..throw import NoFlightError, decimation_factor, measure_throw, with_calibrated_covariance
+from ..throw import NoFlightError, decimation_factor, measure, measure_throw, with_calibrated_covariance
 from ..track import ABSENT, LOST, Track
 from .labelling import with_consistent_labels, with_labels_of_marks
 from .refine_on_edges import EdgeRefinement
@@ -166,13 +166,13 @@ def track_clip(
         return replace(found, response=response)
     if response is not None:
         view = replace(view, response_sigma=response.sigma)
-    throw = _measured(view, source, poses)
+    poses, throw = _measured(view, source, poses)
     if throw is not None and any(impact.contact == "unresolved" for impact in throw.impacts):
         poses = with_consistent_labels(view, poses, throw, exposure_times_s(view, source, poses))
-        throw = _measured(view, source, poses)
+        poses, throw = _measured(view, source, poses)
         if throw is not None and quality.marks and len(clips) == 1:
             before, poses = poses, with_labels_of_marks(view, source, poses, throw)
-            throw = throw if poses is before else _measured(view, source, poses)
+            poses, throw = (poses, throw) if poses is before else _measured(view, source, poses)
     if quality.second_pass:
         view, offsets, result = _refined(view, source, poses, throw, ~unused, report)
     else:
@@ -261,13 +261,15 @@ def _track_before_empty_scene(
 # --- refinement --------------------------------------------------------------------------------------------------------
 
 
-def _measured(view: View, source: FrameSource, poses: ClipPoses) -> Throw | None:
-    """Flights of tracked poses, from the frames that show the die whole; None if these are too few."""
+def _measured(view: View, source: FrameSource, poses: ClipPoses) -> tuple[ClipPoses, Throw | None]:
+    """Tracked poses, labelled as their flights are, and these flights, from the frames that show the die whole; None if these are
+    too few."""
     track = as_track(view, source, poses, wholly_in_view(view, poses) & poses.evenly_spaced)
     try:
-        return measure_throw(track, view.die, view.camera, every=decimation_factor(track, view.die))
+        found = measure(track, view.die, view.camera, every=decimation_factor(track, view.die))
     except NoFlightError:
-        return None
+        return poses, None
+    return replace(poses, rotation=poses.rotation @ found.labels), found.throw
 
 
 def _refined(

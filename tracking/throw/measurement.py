@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...model.die import Die, inner_vertices, lowest_face
 from ...model.errors import InputError
-from ...model.rotations import angle_between, cross_matrix, matrix_from_quat
+from ...model.rotations import angle_between, continuous_sign, cross_matrix, matrix_from_quat, quat_from_matrix
 from ...model.throw import Flight, Impact, State, Throw, energy_J
 from ..camera import Camera
 from ..covariance import covariance_root
@@ -65,6 +65,8 @@ BELIEVED_SHARE = 0.5
 """Share of its frames above which a flight is believed."""
 OFF_FLIGHT_RAD = 0.2
 """Angle [rad] from a flight at which a frame does not lie on it, whatever the errors of its pose, nor takes its labelling."""
+SAME_LABEL = 1e-6
+"""Difference of matrix elements up to which a label is the same; those of two symmetries differ by 0.5 or more."""
 DRAWS = 2000
 """Random draws behind the interval of a restitution."""
 SEED = 20120404
@@ -83,7 +85,7 @@ class MeasuredThrow:
 
     throw: Throw
     frames: Track
-    """The single frames with the estimated shared errors subtracted."""
+    """The single frames, labelled as the flights are, with the estimated shared errors subtracted."""
     frames_on_table: Track
     """The same with the frames of a die that the table supports corrected to lie on it."""
     chain: FlightChain
@@ -95,6 +97,8 @@ class MeasuredThrow:
     throw_without_shared_errors: Throw
     """The throw with covariances that do not contain these."""
     die: Die
+    labels: Array
+    """(track rows, 3, 3) the symmetries by which `frames` are labelled anew: R of the track becomes R times this."""
     calibration: CalibrationEstimate
     """What the throw shows of the errors of cameras, die and clock; the covariances of flights contain what it leaves open."""
 
@@ -202,7 +206,9 @@ def measure(
     flying = first_supported_row(stated, die)
     _require_flight(flying)
     priors = Priors(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M)
-    chain, impacts, flying = _flights_and_impacts(track, observations, use, flying, die, priors)
+    found, impacts, flying = _flights_and_impacts(track, observations, use, flying, die, priors)
+    labels = _labels(track, use[:flying], found.observations.quaternion)
+    track, chain = _labelled_anew(track, labels), found.chain
     flights = chain.flights
     # The contour of a supported die lies amid its shadow: flights do not determine its error. Nor does one flight by itself.
     is_determined = (np.arange(len(use)) < flying) & (len(chain.shared) > 0)
@@ -226,7 +232,9 @@ def measure(
         flights, impacts = _with_supported_motion(flights, impacts, poses, last_s, die)
     without = Throw(flights, impacts)
     throw = _with_shared_covariance(without, track.time_s[use[:flying]], shared_covariance[use[:flying]])
-    return MeasuredThrow(throw, straight, resting, chain, use[:flying], shared_covariance, without, die, estimate)
+    return MeasuredThrow(
+        throw, straight, resting, chain, use[:flying], shared_covariance, without, die, labels, estimate
+    )
 
 
 def _usable_rows(track: Track, die: Die, every: int) -> NDArray[np.int64]:
@@ -253,9 +261,27 @@ def _frames(count: int) -> str:
     return "1 frame is" if count == 1 else f"{count} frames are"
 
 
+def _labels(track: Track, use: Rows, quaternion: Array) -> Array:
+    """The labels (track rows, 3, 3) that make others (n, 4) of the orientations of the rows in use; the other rows take those of
+    the nearest."""
+    own = np.swapaxes(matrix_from_quat(track.quaternion[use]), 1, 2) @ matrix_from_quat(quaternion)
+    if np.allclose(own, np.eye(3), atol=SAME_LABEL):
+        return np.tile(np.eye(3), (len(track), 1, 1))
+    return np.asarray(own[_nearest_of(use, len(track))])
+
+
+def _labelled_anew(track: Track, labels: Array) -> Track:
+    """The track with its labels changed by (track rows, 3, 3); itself where they stay."""
+    if (labels == np.eye(3)).all():
+        return track
+    quaternion, rows = track.quaternion.copy(), np.flatnonzero(track.tracked)
+    quaternion[rows] = quat_from_matrix(matrix_from_quat(quaternion[rows]) @ labels[rows])
+    return replace(track, quaternion=continuous_sign(quaternion))
+
+
 def _flights_and_impacts(
     track: Track, observations: WeightedPoses, use: NDArray[np.int64], flying: int, die: Die, priors: Priors
-) -> tuple[FlightChain, tuple[Impact, ...], int]:
+) -> tuple[ResolvedChain, tuple[Impact, ...], int]:
     """The chain of flights through the first `flying` of the rows in use, its impacts, and how many of the rows are in flight:
     fewer if the last impacts turn out to be part of coming to rest."""
     limit_s = instant_limit_s(observations.time_s)
@@ -264,23 +290,23 @@ def _flights_and_impacts(
         # Segmentation uses fewer frames than the fit, where so many show the motion.
         ahead = slice(0, flying)
         every = decimation_factor(track, die, use[ahead])
-        chain = _resolved_chain(
+        found = _resolved_chain(
             weighted_poses(track, use[ahead][::every]), observations.rows(ahead), die, priors, every
         )
-        believed = _believed(observations.time_s[ahead], observations.quaternion[ahead], chain)
-        impacts = _impacts(chain, believed, die, limit_s)
+        believed = _believed(observations.time_s[ahead], found.observations.quaternion, found.chain)
+        impacts = _impacts(found.chain, believed, die, limit_s)
         low_row = max(low, MIN_FRAMES)
         low_s = float(observations.time_s[low_row]) if low_row < flying else np.inf
         certain = _count_to_last_rebound(impacts, low_s)
         if certain == len(impacts):
-            return chain, impacts, flying
+            return found, impacts, flying
         flying = int(np.searchsorted(observations.time_s, impacts[certain].time_s))
         _require_flight(flying)
 
 
 def _resolved_chain(
     some: WeightedPoses, observations: WeightedPoses, die: Die, priors: Priors, every: int
-) -> FlightChain:
+) -> ResolvedChain:
     """The chain of flights through frames, segmented on `some`, one in `every` of them, or followed from contact to contact: the
     one that explains the frames better. If that leaves a doubt, a chain segmented with wider sigmas competes as well."""
     parts = segment_flights(some, die)
@@ -290,10 +316,10 @@ def _resolved_chain(
         other = resolve_contacts(observations, followed, die, priors)
         found = other if explains_better(observations, other, found) else found
     if _is_beyond_doubt(found, die) or len(found.chain.links) > MAX_LINKS_TWICE:
-        return found.chain
+        return found
     wide = replace(some, whitener=some.whitener / WIDER_SIGMAS)
     other = resolve_contacts(observations, join_flights(wide, segment_flights(wide, die), die), die, priors)
-    return other.chain if explains_better(observations, other, found) else found.chain
+    return other if explains_better(observations, other, found) else found
 
 
 def _followed(some: WeightedPoses, parts: list[Rows], die: Die, priors: Priors) -> FlightChain | None:
@@ -410,10 +436,16 @@ def _shared_covariance(track: Track, bias_jacobian: Array, left: Array, use: NDA
 def _filled(covariance: Array, use: NDArray[np.int64]) -> Array:
     """Covariances (n, 6, 6) of all rows of a track, given those of the rows in use, some NaN: the others take the nearest. A
     frame that could not be refined on marks has none, and lost frames may yet be supplied by their flight."""
-    known, rows = use[np.isfinite(covariance[use]).all((1, 2))], np.arange(len(covariance))
+    known = use[np.isfinite(covariance[use]).all((1, 2))]
+    return np.asarray(covariance[known[_nearest_of(known, len(covariance))]])
+
+
+def _nearest_of(known: Rows, count: int) -> Rows:
+    """For each of so many rows the index of the nearest among some (m,), in ascending order."""
+    rows = np.arange(count)
     right = np.minimum(np.searchsorted(known, rows), len(known) - 1)
     left = np.maximum(right - 1, 0)
-    return np.asarray(covariance[known[np.where(rows - known[left] < known[right] - rows, left, right)]])
+    return np.where(rows - known[left] < known[right] - rows, left, right)
 
 
 def _with_shared_covariance(throw: Throw, time_s: Array, shared_covariance: Array) -> Throw:

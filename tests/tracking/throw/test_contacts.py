@@ -18,6 +18,7 @@ from diethrow.model.die.die import Die, make_die
 from diethrow.model.die.symmetry import symmetry_rotations
 from diethrow.model.laws import CoulombImpact, ImpactLaw, SmoothImpact
 from diethrow.model.rotations import (
+    angle_between,
     matrix_from_quat,
     quat_from_matrix,
     quat_from_rotvec,
@@ -224,6 +225,20 @@ def test_impacts_within_a_few_frames_are_resolved_correctly_or_left_unresolved(r
         assert impact.vertices == nearest.vertices
 
 
+@pytest.mark.parametrize("relabel", [0, 5, 9])
+def test_frames_are_labelled_as_the_flights_are(relabel: int) -> None:
+    """Behind contacts that are told apart by the model, the flights follow it, and so do the frames: one labelling of the corners
+    holds for the whole throw."""
+    throw, track = relabelled_cluster(relabel)
+    found = measure(track, TETRA)
+    assert [impact.vertices for impact in found.throw.impacts] == [impact.vertices for impact in throw.impacts]
+    rows = np.flatnonzero(track.tracked)
+    for labelled in (found.frames, found.smoothed_frames):
+        assert angle_between(labelled.quaternion[rows], throw.poses(track.time_s[rows])[1]).max() < np.radians(5.0)
+    changed = found.labels[rows] != np.eye(3)
+    assert changed.any(axis=(1, 2)).any() == (relabel > 0)
+
+
 def test_a_contact_cluster_with_frames_between_is_resolved_completely() -> None:
     throw, track = fast_tetrahedron()
     found = measure_throw(track, TETRA)
@@ -341,7 +356,7 @@ def test_a_measured_throw_has_all_frames_of_supported_motion_on_the_table(every:
     lowest = (matrix_from_quat(found.frames_on_table.quaternion[still]) @ CUBE.solid.vertices.T)[:, 2].min(1)
     assert np.abs(lowest + found.frames_on_table.position_m[still, 2]).max() < 3e-4
     # For a fit, their errors have the same long-run variance as others, and no shared covariance is added to that of the table.
-    slow = found.chain.errors.long_run_variance(every / FPS).max()
+    slow = found.chain.errors.long_run_variance(1.0 / FPS).max()
     fitted, stated = (one.covariance[still, 1, 1] for one in (found.independent_frames, found.frames_on_table))
     assert np.median(fitted / stated) < 1.2 * slow
 
