@@ -8,13 +8,18 @@ reversal do not lie on a motion with the fall of g, as those of the die do."""
 
 from __future__ import annotations
 
+import itertools
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.die import nearest_equivalent_rotation
+from ...model.rotations import angle_between, matrix_from_quat, quat_from_rotvec
 from ..flights import fit_flights
 from ..footage import FrameSource
 from ..picture import View
-from ..pose import ClipPoses, Pose, as_track, half_turn_about_sight, reversed_pose
+from ..pose import ClipPoses, Pose, as_track, half_turn_about_sight, reversed_pose, wholly_in_view
 from ..throw import UNMODELLED_SHARE, weighted_poses
 from ..track import Track
 from .frame_to_frame import FrameTracker
@@ -25,6 +30,8 @@ Mask = NDArray[np.bool_]
 
 SAMPLED_FRAMES = 36
 """Frames that are tested, spread over the clip."""
+SAMPLED_OF_PIECE = 12
+"""Frames that are tested of each piece between jumps of the poses."""
 MIN_IN_A_ROW = 3
 """Sampled frames in a row that begin or end a run of the reversal. The refinement of a single frame may converge to another
 minimum for a difference in the last digit of its initial pose. When a single frame ended a run, five of 16 films that differ in
@@ -48,6 +55,14 @@ MAX_CHI2_RATIO = 0.5
 has a large chi-square in either pose."""
 FLIGHT_CHI2 = 8.0
 """Reduced chi-square above which poses are those of no die in flight."""
+GOOD_CHI2 = 4.0
+"""Reduced chi-square below which motions are equally good, and the pictures decide."""
+DECISIVE_CHI2_RATIO = 0.1
+"""Chi-square of the reversal of more than SHORT_RUN frames over that of the poses, below which pictures no longer count. Those of
+a dark die with bright pips, whose edges hardly show, prefer the reversal by 2, and its chi-square is a hundred times larger."""
+JUMP_RAD = 0.35
+"""Rotation [rad] between neighbouring frames, beyond that by their spins, at which one of them is taken for a reversal: an impact
+changes the spin, and turns a die by less within half a frame."""
 MIN_COVERAGE = 0.9
 """Share of the frames of a run over which the reversal must be tracked."""
 MAX_TRIALS = 3
@@ -74,33 +89,132 @@ def correct_depth_reversals(view: View, source: FrameSource, poses: ClipPoses, u
     return poses
 
 
+@dataclass(frozen=True, eq=False)
+class _ReversedRun:
+    """The reversal of a run of frames, better than the poses there."""
+
+    poses: ClipPoses
+    """Tracked from one of its frames; of the run and some frames beside it."""
+    run: slice
+    piece: int
+    """The piece in which it lies, by its index."""
+    chi2: float
+    """Reduced chi-square of the clip's motion about the run with the reversal; -inf if the pictures decide."""
+    gain: float
+    """Misfit of the pictures by which it is better; negative if it is worse."""
+
+
 def _corrected_once(view: View, source: FrameSource, poses: ClipPoses, unused: Mask) -> ClipPoses:
-    """One round; the same poses if no run was replaced."""
-    costly = _costly(poses)
-    rows = np.union1d(_spread(np.flatnonzero(poses.known)), _spread(np.flatnonzero(costly)))
-    suspicious = costly[rows] | (_reduced_chi2(as_track(view, source, poses), rows) > SUSPICIOUS_CHI2)
-    reversals = [
-        _reversal(view, source, poses, int(k)) if is_suspicious else None
-        for k, is_suspicious in zip(rows, suspicious, strict=True)
-    ]
-    for begin, end in _runs(np.array([pose is not None for pose in reversals])):
-        # The true poses resume somewhere before the next sampled frame.
-        limits = int(rows[begin - 1]) + 1 if begin > 0 else 0, int(rows[end]) if end < len(rows) else len(source)
-        run, ratio, best = slice(int(rows[begin]), int(rows[end - 1]) + 1), MAX_CHI2_RATIO, poses
-        found = [
-            (int(k), pose) for k, pose in zip(rows[begin:end], reversals[begin:end], strict=True) if pose is not None
-        ]
-        for i in np.unique(np.linspace(0, len(found) - 1, min(MAX_TRIALS, len(found))).astype(int)):
-            k, pose = found[i]
-            other = _tracked_from(view, source, pose, _reversed_rates(view, poses, k), k, limits, unused)
-            other_ratio = (
-                -np.inf if _is_clearly_better(poses, other, run) else _chi2_ratio(view, source, poses, other, run)
-            )
-            if other_ratio < ratio:
-                ratio, best = other_ratio, other
-        if best is not poses:
-            poses = _merged(view, poses, best, run, source.times_s)
+    """One round; the same poses if no run was replaced.
+
+    Of two neighbouring pieces only one is reversed in a round, the one with which the motion is better: with the other a flight
+    would be reversed as a whole, and still turn evenly."""
+    ends = _piece_ends(view, poses, source.times_s)
+    pieces = list(itertools.pairwise(ends))
+    sampled = _sampled_rows(poses, _costly(poses), pieces)
+    found: list[_ReversedRun] = []
+    for piece, (limits, rows) in enumerate(zip(pieces, sampled, strict=True)):
+        found += _better_runs(view, source, poses, unused, (piece, *limits), rows, has_jumps=len(pieces) > 1)
+    found.sort(key=lambda one: (max(one.chi2, GOOD_CHI2), -one.gain))
+    reversed_pieces: set[int] = set()
+    for one in found:
+        if not reversed_pieces & {one.piece - 1, one.piece + 1}:
+            reversed_pieces.add(one.piece)
+            poses = _merged(view, poses, one.poses, one.run, source.times_s)
     return poses
+
+
+def _piece_ends(view: View, poses: ClipPoses, times_s: Array) -> list[int]:
+    """The rows, 0 and the number of all among them, at which poses begin that do not go on from those before: a tracker that has
+    followed a reversal, or has come to one, jumps in the middle of a flight."""
+    known = np.flatnonzero(poses.known)
+    half_s = 0.5 * np.diff(times_s[known])[:, None]
+    spin = poses.motion[known, 3:]
+    there = matrix_from_quat(quat_from_rotvec(half_s * spin[:-1])) @ poses.rotation[known[:-1]]
+    here = matrix_from_quat(quat_from_rotvec(-half_s * spin[1:])) @ poses.rotation[known[1:]]
+    jump_rad = angle_between(there, nearest_equivalent_rotation(here, there, view.symmetries))
+    return [0, *known[1:][jump_rad > JUMP_RAD].tolist(), len(poses.known)]
+
+
+def _sampled_rows(poses: ClipPoses, costly: Mask, pieces: list[tuple[int, int]]) -> list[NDArray[np.int64]]:
+    """For each piece the rows that are tested: some spread over the clip, some of those that are costly, and where there are
+    several pieces some of each."""
+    known = np.flatnonzero(poses.known)
+    rows = np.union1d(_spread(known, SAMPLED_FRAMES), _spread(np.flatnonzero(costly), SAMPLED_FRAMES))
+    if len(pieces) > 1:
+        each = [_spread(known[(known >= begin) & (known < end)], SAMPLED_OF_PIECE) for begin, end in pieces]
+        rows = np.union1d(rows, np.concatenate(each))
+    return [rows[(rows >= begin) & (rows < end)] for begin, end in pieces]
+
+
+def _better_runs(
+    view: View,
+    source: FrameSource,
+    poses: ClipPoses,
+    unused: Mask,
+    piece: tuple[int, int, int],
+    rows: NDArray[np.int64],
+    *,
+    has_jumps: bool,
+) -> list[_ReversedRun]:
+    """The runs of one piece, given by its index, its first row and the row behind it, whose reversal is better, tested on some
+    `rows` of it."""
+    index, begin, end = piece
+    chi2 = _reduced_chi2(as_track(view, source, poses), rows, (begin, end))
+    # Poses that jump are those of no flight: then their reversals are tested whatever the pictures say.
+    most = np.where(has_jumps & (chi2 > FLIGHT_CHI2), np.inf, REVERSAL_MISFIT)
+    suspicious = _costly(poses)[rows] | (chi2 > SUSPICIOUS_CHI2) | has_jumps
+    reversals = [
+        _reversal(view, source, poses, int(k), float(misfit)) if is_suspicious else None
+        for k, is_suspicious, misfit in zip(rows, suspicious, most, strict=True)
+    ]
+    found = []
+    for first, stop in _runs(np.array([pose is not None for pose in reversals])):
+        # The true poses resume somewhere before the next sampled frame.
+        limits = int(rows[first - 1]) + 1 if first > 0 else begin, int(rows[stop]) if stop < len(rows) else end
+        own = zip(rows[first:stop].tolist(), reversals[first:stop], strict=True)
+        starts = [(k, pose) for k, pose in own if pose is not None]
+        best = _best_reversed_run(view, source, poses, unused, limits, starts)
+        found += [] if best is None else [replace(best, piece=index)]
+    return found
+
+
+def _best_reversed_run(
+    view: View,
+    source: FrameSource,
+    poses: ClipPoses,
+    unused: Mask,
+    limits: tuple[int, int],
+    starts: list[tuple[int, Pose]],
+) -> _ReversedRun | None:
+    """The best reversal within a range of rows, tracked from some of the reversals on single rows; None if none is better than
+    the poses."""
+    rows = slice(starts[0][0], starts[-1][0] + 1)
+    least, best = MAX_CHI2_RATIO, None
+    for i in np.unique(np.linspace(0, len(starts) - 1, min(MAX_TRIALS, len(starts))).astype(int)):
+        k, pose = starts[i]
+        other = _tracked_from(view, source, pose, _reversed_rates(view, poses, k), k, limits, unused)
+        run = _followed(poses, other, rows, k)
+        gain = _gain(poses, other, run)
+        if _is_clearly_better(poses, other, run):
+            ratio, chi2 = -np.inf, -np.inf
+        else:
+            ratio, chi2 = _chi2_ratio(view, source, poses, other, run)
+            is_decisive = ratio < DECISIVE_CHI2_RATIO and run.stop - run.start > SHORT_RUN
+            if gain < -REVERSAL_MISFIT and not is_decisive:
+                continue
+        if ratio < least:
+            least, best = ratio, _ReversedRun(other, run, 0, chi2, gain)
+    return best
+
+
+def _followed(poses: ClipPoses, other: ClipPoses, run: slice, k: int) -> slice:
+    """The part of a run about row k over which another was tracked without a gap, if it shows a motion: tracking may end at an
+    impact. Otherwise the run."""
+    missing = np.flatnonzero(poses.known & ~other.known)
+    begin = int(max([run.start, *(missing[missing < k] + 1)]))
+    end = int(min([run.stop, *missing[missing > k]]))
+    return slice(begin, end) if end - begin > SHORT_RUN else run
 
 
 def _costly(poses: ClipPoses) -> Mask:
@@ -109,9 +223,15 @@ def _costly(poses: ClipPoses) -> Mask:
     return np.asarray(poses.known & (poses.cost_with_edge_noise > usual + COSTLY_MISFIT))
 
 
-def _spread(rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """At most SAMPLED_FRAMES of some rows, evenly spread."""
-    return rows[np.unique(np.linspace(0, len(rows) - 1, min(SAMPLED_FRAMES, len(rows))).astype(int))]
+def _spread(rows: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """At most so many of some rows, evenly spread."""
+    return rows[np.unique(np.linspace(0, len(rows) - 1, min(count, len(rows))).astype(int))]
+
+
+def _gain(poses: ClipPoses, other: ClipPoses, run: slice) -> float:
+    """Mean misfit by which other poses explain the pictures of a run better, on the frames that both have; -inf without any."""
+    both = np.flatnonzero((poses.known & other.known)[run]) + run.start
+    return float((poses.cost_with_edge_noise[both] - other.cost_with_edge_noise[both]).mean()) if len(both) else -np.inf
 
 
 def _is_clearly_better(poses: ClipPoses, other: ClipPoses, run: slice) -> bool:
@@ -138,20 +258,30 @@ def _runs(has_reversal: Mask) -> list[tuple[int, int]]:
     return [run for run, frames in zip(runs, longest, strict=True) if frames >= MIN_IN_A_ROW]
 
 
-def _chi2_ratio(view: View, source: FrameSource, poses: ClipPoses, other: ClipPoses, run: slice) -> float:
-    """Chi-square of other poses over that of the poses, on the frames that both have.
+def _chi2_ratio(view: View, source: FrameSource, poses: ClipPoses, other: ClipPoses, run: slice) -> tuple[float, float]:
+    """Chi-square of other poses over that of the poses, and the former, on the frames of a run that both have, or on the clip
+    about the run with one or the other in it; whichever is less.
 
-    Infinite if the others are not those of a die in flight either, miss frames of the run, or the pictures contradict them. The
-    median over windows counts: those with an impact fit neither."""
+    Infinite if the others are not those of a die in flight either, or miss frames of the run. The median over windows counts:
+    those with an impact fit neither."""
     both = poses.known & other.known
     covered = both[run].sum() >= MIN_COVERAGE * poses.known[run].sum()
     if not covered or both.sum() < MOTION_FRAMES:
-        return np.inf
-    if other.cost_with_edge_noise[both].mean() > poses.cost_with_edge_noise[both].mean() + REVERSAL_MISFIT:
-        return np.inf
-    rows = np.flatnonzero(both)[:: WINDOW // 2]
-    ours, theirs = (float(np.median(_reduced_chi2(as_track(view, source, one, both), rows))) for one in (poses, other))
-    return theirs / ours if 0.0 < theirs < FLIGHT_CHI2 and ours > 0.0 else np.inf
+        return np.inf, np.inf
+    merged = _merged(view, poses, other, run, source.times_s)
+    begin, end = max(run.start - WINDOW // 2, 0), min(run.stop + WINDOW // 2, len(both))
+    found = [(np.inf, np.inf)]
+    for ours, theirs, shown, within in (
+        (poses, other, both, (0, len(both))),
+        (poses, merged, poses.known & merged.known & wholly_in_view(view, merged), (begin, end)),
+    ):
+        rows = np.flatnonzero(shown[within[0] : within[1]])[:: WINDOW // 2] + within[0]
+        before, after = (
+            float(np.median(_reduced_chi2(as_track(view, source, one, shown), rows, within))) for one in (ours, theirs)
+        )
+        if 0.0 < after < FLIGHT_CHI2 and before > 0.0:
+            found.append((after / before, after))
+    return min(found)
 
 
 def _reversed_rates(view: View, poses: ClipPoses, k: int) -> Array:
@@ -159,11 +289,11 @@ def _reversed_rates(view: View, poses: ClipPoses, k: int) -> Array:
     return np.concatenate([poses.motion[k, :3], half_turn_about_sight(view, poses.position_m[k]) @ poses.motion[k, 3:]])
 
 
-def _reversal(view: View, source: FrameSource, poses: ClipPoses, k: int) -> Pose | None:
-    """The reversal of the pose on one frame, if it is a different pose and explains the picture nearly as well."""
+def _reversal(view: View, source: FrameSource, poses: ClipPoses, k: int, limit: float) -> Pose | None:
+    """The reversal of the pose on one frame, if it is a different pose and its misfit is larger by less than a limit."""
     picture = np.asarray(source.frame(k), np.float32)
     pose = reversed_pose(view, picture, poses.position_m[k], poses.rotation[k])
-    if pose is None or pose.cost_with_edge_noise > poses.cost_with_edge_noise[k] + REVERSAL_MISFIT:
+    if pose is None or pose.cost_with_edge_noise > poses.cost_with_edge_noise[k] + limit:
         return None
     return pose
 
@@ -198,10 +328,10 @@ def _tracked_from(
     return poses
 
 
-def _reduced_chi2(track: Track, rows: NDArray[np.int64]) -> Array:
-    """(rows,) reduced chi-square of the tracked frames about each of some rows from one motion: of WINDOW frames, or of all if
-    there are fewer; 0 if these are too few to decide."""
-    use = np.flatnonzero(track.tracked)
+def _reduced_chi2(track: Track, rows: NDArray[np.int64], within: tuple[int, int]) -> Array:
+    """(rows,) reduced chi-square of the tracked frames about each of some rows from one motion: of WINDOW frames within a range,
+    or of all if there are fewer; 0 if these are too few to decide."""
+    use = within[0] + np.flatnonzero(track.tracked[slice(*within)])
     if len(use) < MIN_IN_A_ROW:
         return np.zeros(len(rows))
     at = np.clip(np.searchsorted(use, rows) - WINDOW // 2, 0, max(len(use) - WINDOW, 0))
