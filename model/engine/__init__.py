@@ -10,6 +10,7 @@ of this folder, any other by `asymmetric`; derivatives of both are in `derivativ
 from .air import Air as Air
 from .air import Vacuum as Vacuum
 from .air import drag_trajectory as drag_trajectory
+from .air import slide_on_face as slide_on_face
 from .event_loop import poses_of_throws as poses_of_throws
 from .event_loop import run_throw as run_throw
 from .flight import FallingDie as FallingDie
@@ -25,8 +26,7 @@ from .friction_impulse import coefficient_at_speed as coefficient_at_speed
 from .friction_impulse import contact_matrix as contact_matrix
 from .friction_impulse import friction_impulse as friction_impulse
 from .friction_impulse import spherical_contact_matrix as spherical_contact_matrix
-from .held_contact import carry_on_face as carry_on_face
-from .held_contact import held_step as held_step
+from .held_contact import contact_step as contact_step
 from .held_contact import step_workspace as step_workspace
 from .impact import ParameterDerivatives as ParameterDerivatives
 from .impact import impulse as impulse
@@ -65,6 +65,7 @@ from .types import Contact as Contact
 from .types import Law as Law
 from .types import Limits as Limits
 from .types import Plane as Plane
+from .types import PlaneInAir as PlaneInAir
 from .types import Precision as Precision
 from .types import RoughLaw as RoughLaw
 from .types import Setup as Setup

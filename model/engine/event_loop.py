@@ -12,10 +12,8 @@ from math import inf, nan, sqrt
 import numpy as np
 
 from ..compiled import compiled, inner
+from .air import FreeDie, fly, fly_to_touch, next_touch, pressed_on_face_s, slide_on_face
 from .flight import (
-    FallingDie,
-    advance,
-    first_touch,
     height_terms,
     lever_arm,
     spin_rate,
@@ -23,26 +21,27 @@ from .flight import (
     vertex_velocity,
 )
 from .held_contact import (
-    carry_on_face,
+    contact_step,
     follow_held_contact,
-    held_step,
     lay_on_face,
     pressed_set,
     project_on_contact,
     remove_normal_velocity,
+    step_workspace,
+)
+from .impact import (
+    apply_impact,
+    restitution_at,
     simultaneous_impact,
     simultaneous_inelastic_impact,
-    step_workspace,
     touching_set,
     without_held,
 )
-from .impact import apply_impact, restitution_at
 from .log import bits_of, bits_of_rows, copy_to, state_after, with_knot, with_room, write_event
 from .rest import (
     MAX_ZERO_STEPS,
     chatter_speed,
     decided_face,
-    face_contact_duration,
     is_energetic,
     lowest_face_row,
     nudge_s,
@@ -73,6 +72,7 @@ from .types import (
     Knots,
     Limits,
     Setup,
+    has_air,
     has_friction,
 )
 
@@ -116,9 +116,9 @@ def run_throw(
                 return RESTED, impacts, face, time, state, log[:0], knots.rows[:0]
             spin = spin_rate(state)
             height_terms(body.vertices, state, spin, terms)
-            falling = FallingDie(state[2], state[9], spin, body.radius)
-            dt, hit, velocity, acceleration, together = first_touch(
-                terms, falling, plane, time, precision.contact_tolerance, end - time
+            die = FreeDie(state, spin, body.radius, terms)
+            dt, hit, velocity, acceleration, together = next_touch(
+                die, plane, time, precision.contact_tolerance, end - time, step_room
             )
             if face >= 0 and stop_when_decided:
                 ending = RESTED
@@ -128,12 +128,15 @@ def run_throw(
                 ending = IMPACTS_REACHED
             if ending != NOT_ENDED:
                 return ending, impacts, face, time + dt, state, log[: events if keep else 0], knots.rows[: knots.used]
-            advance(state, spin, dt, plane)
+            fly_to_touch(die, plane, dt, step_room)
+            if has_air(plane) and last_energetic_time == time:
+                # A long fall takes the energy from a die that had it while it fell.
+                last_energetic_time = time + dt
             time += dt
             reorder = velocity == 0.0 or (-velocity <= slow and acceleration < 0.0)
         else:
             if (stop_when_decided and face >= 0) or (
-                open_end and j == -2 and face_contact_duration(plane, time, inf) == inf
+                open_end and j == -2 and pressed_on_face_s(plane, state, time, inf) == inf
             ):
                 face = lowest_face_row(body.plumb_normals, state)
                 return RESTED, impacts, face, time, state, log[: events if keep else 0], knots.rows[: knots.used]
@@ -149,8 +152,8 @@ def run_throw(
                 elif ending != NOT_ENDED and fixed:
                     face = decided_face(body, law, plane, state)
             elif j == -2:
-                dt = face_contact_duration(plane, time, end - time)
-                carry_on_face(state, plane, time, dt)
+                dt = pressed_on_face_s(plane, state, time, end - time)
+                slide_on_face(state, plane, time, dt)
                 if time + dt >= end:
                     ending = TIME_REACHED
             else:
@@ -219,9 +222,9 @@ def run_throw(
                 # Rounding leaves open whether the die still presses. A little later it does not.
                 nudge = nudge_s(zero_step_count, plane, body.radius)
                 if i < 0:
-                    advance(state, spin_rate(state), nudge, plane)
+                    fly(state, spin_rate(state), nudge, plane, step_room)
                 else:
-                    held_step(Contact(body, plane, i, j), state, time, nudge, step_room, after)
+                    contact_step(Contact(body, plane, i, j), state, time, nudge, step_room, after)
                     copy_to(state, after)
                 time += nudge
         elif hit >= 0:
@@ -288,7 +291,7 @@ def poses_of_throw(
             begin = knots[knot, 1]
             copy_to(state, knots[knot, 2:15])
         if j == -1 and i < 0:
-            advance(state, spin_rate(state), time - begin, plane)
+            fly(state, spin_rate(state), time - begin, plane, step_room)
         elif j == -3:
             # The first half of a step goes with the old velocities, the second half with the new ones.
             ends = knot + 1 >= knots.shape[0] or knots[knot + 1, 0] != event
@@ -297,9 +300,9 @@ def poses_of_throw(
                 copy_to(state, knots[knot + 1, 2:15])
             move_freely(state, time - begin)
         elif j == -2:
-            carry_on_face(state, plane, begin, time - begin)
+            slide_on_face(state, plane, begin, time - begin)
         elif time > begin:
-            held_step(Contact(body, plane, i, j), state, begin, time - begin, step_room, after)
+            contact_step(Contact(body, plane, i, j), state, begin, time - begin, step_room, after)
             copy_to(state, after)
         for m in range(7):
             poses[k, m] = state[m]

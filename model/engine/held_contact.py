@@ -6,15 +6,19 @@ integrated by the method of order 8 of `runge_kutta`, in steps of a given turn, 
 ends where a force falls through zero or another vertex touches; that instant is found by shorter steps of the same method
 from the same state, so that it is as accurate as the motion. Equations: `throw.held_contact`.
 
+In air the drag on the centre of mass adds to the weight on the contact and slows the horizontal motion, so position and
+horizontal velocity are integrated too. It has no moment about the centre.
+
 Forces are per mass [m/s²]. Vertices i and j are held, j = -1 where there is only one.
 """
 
 from __future__ import annotations
 
 from math import inf, sqrt
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numba.extending import overload
 
 from ..compiled import compiled, inner
 from .flight import (
@@ -28,6 +32,7 @@ from .flight import (
     table_velocity,
     vertex_velocity,
 )
+from .impact import solve_normal_forces
 from .log import copy_to, with_knot
 from .rest import lowest_face_row
 from .runge_kutta import NODES, STAGES, START, VALUES, stage_values
@@ -47,14 +52,9 @@ from .types import (
     Indices,
     Knots,
     Plane,
+    PlaneInAir,
     Precision,
 )
-
-MAX_NORMAL_SWEEPS = 1000
-"""Of the Gauss-Seidel method for normal forces."""
-
-NORMAL_SWEEP_TOLERANCE = 1e-15
-"""Change of a force in one sweep, as a part of the largest, at which the sweeps end: rounding."""
 
 RESTING_ACCELERATION = 1e-9
 """Acceleration in units of g below which a vertex rests, and part of the largest force below which another force is none. It
@@ -85,14 +85,39 @@ DIP_TOLERANCE = 1e-7
 """Steps of the search for the lowest instant of a vertex, the part of the bracket kept from either end, and the width of the
 bracket, as a part of the step, at which the search ends."""
 
-STEP_SIZE = 6
-"""What a step integrates: the quaternion, ω_x and ω_y."""
+STEP_SIZE, STEP_SIZE_IN_AIR = 6, 10
+"""What a step integrates: the quaternion, ω_x and ω_y; in air also x, y, and their velocities."""
 
 
 @compiled
 def step_workspace() -> Array:
     """Room for one step of the integration; see `runge_kutta`."""
-    return np.empty((14, STEP_SIZE))
+    return np.empty((14, STEP_SIZE_IN_AIR))
+
+
+# --- The weight, and one step ---
+
+
+@inner
+def weight_in_air(plane: PlaneInAir, state: Array, time: float) -> float:
+    """`weight` against drag."""
+    speed = sqrt(state[7] * state[7] + state[8] * state[8] + state[9] * state[9])
+    return plane.g + table_acceleration(plane, time) + plane.drag * speed * state[9]
+
+
+def weight(plane: Plane | PlaneInAir, state: Array, time: float) -> float:
+    """What presses a die that moves as the table does onto it, per mass [m/s²]: g, the table's acceleration, and the drag."""
+    if isinstance(plane, PlaneInAir):
+        return float(weight_in_air(plane, state, time))
+    return float(plane.g + table_acceleration(plane, time))
+
+
+@overload(weight, strict=False)
+def _weight_of(plane: Any, state: Any, time: Any) -> Any:
+    """The branch of `weight` that the type of the plane asks for, chosen when it is compiled."""
+    if plane.instance_class is PlaneInAir:
+        return weight_in_air.py_func
+    return lambda plane, state, time: plane.g + table_acceleration(plane, time)
 
 
 @inner
@@ -137,16 +162,65 @@ def held_step(contact: Contact, state: Array, time: float, dt: float, room: Arra
         if stage < STAGES:
             pull = plane.g + table_acceleration(plane, time + NODES[stage] * dt)
             _, _, room[stage, 4], room[stage, 5] = contact_forces(body, after, i, j, pull)
-            x, y, z = 0.5 * after[10], 0.5 * after[11], 0.5 * after[12]
-            qw, qx, qy, qz = after[3], after[4], after[5], after[6]
-            room[stage, 0] = -x * qx - y * qy - z * qz
-            room[stage, 1] = x * qw + y * qz - z * qy
-            room[stage, 2] = -x * qz + y * qw + z * qx
-            room[stage, 3] = x * qy - y * qx + z * qw
+            quaternion_rates(after, room[stage])
     after[0] = state[0] + (state[7] + 0.5 * plane.gx * dt) * dt
     after[1] = state[1] + (state[8] + 0.5 * plane.gy * dt) * dt
     after[7], after[8] = state[7] + plane.gx * dt, state[8] + plane.gy * dt
     project_on_contact(contact, after, time + dt)
+
+
+@inner
+def quaternion_rates(state: Array, out: Array) -> None:
+    """Fill out[:4] with the rates of the quaternion of a state."""
+    x, y, z = 0.5 * state[10], 0.5 * state[11], 0.5 * state[12]
+    qw, qx, qy, qz = state[3], state[4], state[5], state[6]
+    out[0] = -x * qx - y * qy - z * qz
+    out[1] = x * qw + y * qz - z * qy
+    out[2] = -x * qz + y * qw + z * qx
+    out[3] = x * qy - y * qx + z * qw
+
+
+@compiled
+def held_step_in_air(contact: Contact, state: Array, time: float, dt: float, room: Array, after: Array) -> None:
+    """`held_step` against drag."""
+    body, plane, i, j = contact
+    for m in range(4):
+        room[START, m] = state[3 + m]
+    for m in range(2):
+        room[START, 4 + m], room[START, 6 + m], room[START, 8 + m] = state[10 + m], state[m], state[7 + m]
+    after[12] = state[12]
+    for stage in range(STAGES + 1):
+        stage_values(room, stage, dt, STEP_SIZE_IN_AIR)
+        for m in range(4):
+            after[3 + m] = room[VALUES, m]
+        for m in range(2):
+            after[10 + m], after[m], after[7 + m] = room[VALUES, 4 + m], room[VALUES, 6 + m], room[VALUES, 8 + m]
+        if stage < STAGES:
+            at = time + NODES[stage] * dt
+            x, y, _ = lever_arm(body.vertices[i], after)
+            after[9] = table_velocity(plane, at) - after[10] * y + after[11] * x
+            drag = plane.drag * sqrt(after[7] * after[7] + after[8] * after[8] + after[9] * after[9])
+            pull = plane.g + table_acceleration(plane, at) + drag * after[9]
+            _, _, room[stage, 4], room[stage, 5] = contact_forces(body, after, i, j, pull)
+            quaternion_rates(after, room[stage])
+            room[stage, 6], room[stage, 7] = after[7], after[8]
+            room[stage, 8], room[stage, 9] = plane.gx - drag * after[7], plane.gy - drag * after[8]
+    project_on_contact(contact, after, time + dt)
+
+
+def contact_step(contact: Contact, state: Array, time: float, dt: float, room: Array, after: Array) -> None:
+    """`held_step`, in vacuum or against drag."""
+    if isinstance(contact.plane, PlaneInAir):
+        held_step_in_air(contact, state, time, dt, room, after)
+    else:
+        held_step(contact, state, time, dt, room, after)
+
+
+@overload(contact_step, strict=False)
+def _contact_step_of(contact: Any, state: Any, time: Any, dt: Any, room: Any, after: Any) -> Any:
+    """The branch of `contact_step` that the type of the plane asks for, chosen when it is compiled."""
+    chosen = held_step_in_air if contact[1].instance_class is PlaneInAir else held_step
+    return chosen.py_func
 
 
 @inner
@@ -212,89 +286,6 @@ def lay_on_face(body: Body, plane: Plane, state: Array, time: float, i: int) -> 
 
 
 @inner
-def touching_set(
-    body: Body, plane: Plane, state: Array, time: float, near: float, slow: float, also: int, touching: Indices
-) -> int:
-    """Fill `touching` with the vertices no higher than `near` [m] that do not rise faster than `slow` [m/s], and with `also`.
-
-    Returns their number.
-    """
-    z_table, v_table = table_height(plane, time), table_velocity(plane, time)
-    n = 0
-    for i in range(body.vertices.shape[0]):
-        arm = lever_arm(body.vertices[i], state)
-        leaving = state[9] + state[10] * arm[1] - state[11] * arm[0] - v_table
-        if i == also or (state[2] + arm[2] - z_table <= near and leaving <= slow):
-            touching[n] = i
-            n += 1
-    return n
-
-
-@inner
-def without_held(touching: Indices, n: int, active: NDArray[np.bool_], also: int) -> int:
-    """Leave of `touching` those that were not held, and `also`; returns their number."""
-    left = 0
-    for m in range(n):
-        if touching[m] == also or not active[touching[m]]:
-            touching[left] = touching[m]
-            left += 1
-    return left
-
-
-@inner
-def solve_normal_forces(
-    body: Body, state: Array, touching: Indices, n: int, motion: Array, drive: Array, forces: Array
-) -> None:
-    """Solve 0 ≤ forces ⊥ (drive + effect of the forces) ≥ 0 over the touching vertices by projected Gauss-Seidel.
-
-    `motion` (3,) is the centre's vertical motion and ω_x, ω_y, velocities or accelerations; the effect of the forces (n,)
-    is added to it. `drive` (n,) is the motion that each vertex has besides.
-    """
-    k = body.inertia / body.mass
-    for m in range(n):
-        forces[m] = 0.0
-    for _ in range(MAX_NORMAL_SWEEPS):
-        largest, change = 0.0, 0.0
-        for m in range(n):
-            x, y, _ = lever_arm(body.vertices[touching[m]], state)
-            rising = motion[0] + motion[1] * y - motion[2] * x + drive[m]
-            new = max(0.0, forces[m] - rising / (1.0 + (x * x + y * y) / k))
-            step = new - forces[m]
-            forces[m] = new
-            motion[0] += step
-            motion[1] += step * y / k
-            motion[2] -= step * x / k
-            largest, change = max(largest, new), max(change, abs(step))
-        if change <= NORMAL_SWEEP_TOLERANCE * largest:
-            break
-
-
-@inner
-def simultaneous_inelastic_impact(
-    body: Body, plane: Plane, state: Array, time: float, touching: Indices, n: int, room: Array
-) -> None:
-    """Stop the slow approach of the touching vertices, in place, as an impact with χ = 0 of all of them at once."""
-    motion, drive, forces = room[0], room[1], room[2]
-    motion[0], motion[1], motion[2] = state[9] - table_velocity(plane, time), state[10], state[11]
-    for m in range(n):
-        drive[m] = 0.0
-    solve_normal_forces(body, state, touching, n, motion, drive, forces)
-    state[9], state[10], state[11] = motion[0] + table_velocity(plane, time), motion[1], motion[2]
-
-
-@inner
-def simultaneous_impact(
-    body: Body, plane: Plane, state: Array, time: float, chi: float, touching: Indices, n: int, room: Array
-) -> None:
-    """Apply the smooth impact of all touching vertices at once, in place; see `throw.touch`."""
-    v, p, q = state[9], state[10], state[11]
-    simultaneous_inelastic_impact(body, plane, state, time, touching, n, room)
-    state[9] += chi * (state[9] - v)
-    state[10] += chi * (state[10] - p)
-    state[11] += chi * (state[11] - q)
-
-
-@inner
 def remove_normal_velocity(contact: Contact, state: Array, time: float) -> None:
     """Remove the vertical velocity of the held vertices, in place, by impulses on them.
 
@@ -332,7 +323,7 @@ def pressed_set(
     One or two are decided exactly, by the signs of their forces. Three or more are decided by projected Gauss-Seidel, whose
     accelerations are unique though its forces are not.
     """
-    pull = plane.g + table_acceleration(plane, time)
+    pull = weight(plane, state, time)
     if n == 0:
         return -1, -1
     if n == 1:
@@ -398,7 +389,7 @@ def follow_held_contact(
     peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
     while True:
         knots = with_knot(knots, time, state)
-        pull = plane.g + table_acceleration(plane, time)
+        pull = weight(plane, state, time)
         if check_balance and fixed and is_balanced(body, state, i, j, pull):
             return BALANCED, time - begin, -1, knots
         dt = precision.step_turn / (
@@ -407,9 +398,9 @@ def follow_held_contact(
             + (0.0 if fixed else plane.rate)
         )
         dt = min(dt, begin + limit - time)
-        held_step(contact, state, time, dt, room, after)
+        contact_step(contact, state, time, dt, room, after)
         first, event = dt, NO_EVENT
-        pull = plane.g + table_acceleration(plane, time + dt)
+        pull = weight(plane, after, time + dt)
         n_i, n_j, _, _ = contact_forces(body, after, i, j, pull)
         if n_i <= 0.0:
             first, event = earlier_event(contact, state, time, dt, FORCE_I, first, event, room)
@@ -425,7 +416,7 @@ def follow_held_contact(
                     first, event = earlier_event(contact, state, time, within, k, first, event, room)
         if event != NO_EVENT:
             if first > 0.0:
-                held_step(contact, state, time, first, room, after)
+                contact_step(contact, state, time, first, room, after)
                 copy_to(state, after)
             return NOT_ENDED, time + first - begin, max(event, -1), knots
         copy_to(state, after)
@@ -470,13 +461,13 @@ def event_instant(
     body, plane, _, _ = contact
     low, high = 0.0, dt
     f_low = event_function(contact, state, time, event)
-    held_step(contact, state, time, dt, room, after)
+    contact_step(contact, state, time, dt, room, after)
     f_high = event_function(contact, after, time + dt, event)
     if event >= 0 and f_low <= STANDING_HEIGHT * body.radius:
         # A vertex that has just been released rises first: step back to where it is up.
         t = 0.5 * dt
         while t > SHORTEST_RISE * dt:
-            held_step(contact, state, time, t, room, after)
+            contact_step(contact, state, time, t, room, after)
             f_low = event_function(contact, after, time + t, event)
             if f_low > 0.0:
                 low = t
@@ -493,7 +484,7 @@ def event_instant(
             break
         t = (low * f_high - high * f_low) / (f_high - f_low)
         t = min(max(t, low + BRACKET_GUARD * (high - low)), high - BRACKET_GUARD * (high - low))
-        held_step(contact, state, time, t, room, after)
+        contact_step(contact, state, time, t, room, after)
         f = event_function(contact, after, time + t, event)
         if f > 0.0:
             low, f_low = t, f
@@ -519,7 +510,7 @@ def event_function(contact: Contact, state: Array, time: float, event: int) -> f
     body, plane, i, j = contact
     if event >= 0:
         return clearance(body.vertices[event], state, table_height(plane, time))
-    n_i, n_j, _, _ = contact_forces(body, state, i, j, plane.g + table_acceleration(plane, time))
+    n_i, n_j, _, _ = contact_forces(body, state, i, j, weight(plane, state, time))
     return n_i if event == FORCE_I else n_j
 
 
@@ -543,7 +534,7 @@ def instant_below_table(
     if h0 <= STANDING_HEIGHT * body.radius:
         # It stands on the table and is not held. Its velocity is rounding, so that only its height decides.
         for part in RISES_TRIED:
-            held_step(contact, state, time, part * dt, room, trial)
+            contact_step(contact, state, time, part * dt, room, trial)
             if (
                 clearance(body.vertices[k], trial, table_height(plane, time + part * dt))
                 < -ROUNDING_BOUND * body.radius
@@ -561,7 +552,7 @@ def instant_below_table(
                 return 0.0
             t = (low * v_high - high * v_low) / (v_high - v_low)
             t = min(max(t, low + DIP_GUARD * (high - low)), high - DIP_GUARD * (high - low))
-        held_step(contact, state, time, t, room, trial)
+        contact_step(contact, state, time, t, room, trial)
         if clearance(body.vertices[k], trial, table_height(plane, time + t)) < 0.0:
             return t
         v = vertex_velocity(body, plane, trial, time + t, k)

@@ -2,7 +2,7 @@
 
 Smooth: S_z = -(1 + χ) u/(1/m + (x² + y²)/J) for an arm (x, y, z) and a normal velocity u relative to the table. With friction
 the impulse is that of `friction_impulse`. In laws by speed χ, and μ, fade with |u|. The velocities change by Δv = S/m, Δω =
-(r × S)/J.
+(r × S)/J. At the end stand impacts of several vertices at once, without friction (`throw.touch`).
 """
 
 from __future__ import annotations
@@ -12,10 +12,30 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import overload
+from numpy.typing import NDArray
 
 from ..compiled import compiled, inner
+from .flight import lever_arm, table_height, table_velocity
 from .friction_impulse import coefficient_at_speed, friction_impulse, spherical_contact_matrix
-from .types import COULOMB, COULOMB_BY_SPEED, COULOMB_FADING, SMOOTH_BY_SPEED, Array, Law, RoughLaw, Vector
+from .types import (
+    COULOMB,
+    COULOMB_BY_SPEED,
+    COULOMB_FADING,
+    SMOOTH_BY_SPEED,
+    Array,
+    Body,
+    Indices,
+    Law,
+    Plane,
+    RoughLaw,
+    Vector,
+)
+
+MAX_NORMAL_SWEEPS = 1000
+"""Of the Gauss-Seidel method for normal forces."""
+
+NORMAL_SWEEP_TOLERANCE = 1e-15
+"""Change of a force in one sweep, as a part of the largest, at which the sweeps end: rounding."""
 
 
 @inner
@@ -263,3 +283,89 @@ def wanted_columns(law: Law, chi: bool, mu: bool) -> tuple[bool, bool]:
     """`wanted` of `impulse_gradient`: whether parameters change χ or μ, or the law makes them change with speed."""
     by_speed = law.code == SMOOTH_BY_SPEED or law.code == COULOMB_BY_SPEED or law.code == COULOMB_FADING
     return by_speed or chi, law.code == COULOMB_FADING or mu
+
+
+# --- Several vertices at once ---
+
+
+@inner
+def touching_set(
+    body: Body, plane: Plane, state: Array, time: float, near: float, slow: float, also: int, touching: Indices
+) -> int:
+    """Fill `touching` with the vertices no higher than `near` [m] that do not rise faster than `slow` [m/s], and with `also`.
+
+    Returns their number.
+    """
+    z_table, v_table = table_height(plane, time), table_velocity(plane, time)
+    n = 0
+    for i in range(body.vertices.shape[0]):
+        arm = lever_arm(body.vertices[i], state)
+        leaving = state[9] + state[10] * arm[1] - state[11] * arm[0] - v_table
+        if i == also or (state[2] + arm[2] - z_table <= near and leaving <= slow):
+            touching[n] = i
+            n += 1
+    return n
+
+
+@inner
+def without_held(touching: Indices, n: int, active: NDArray[np.bool_], also: int) -> int:
+    """Leave of `touching` those that were not held, and `also`; returns their number."""
+    left = 0
+    for m in range(n):
+        if touching[m] == also or not active[touching[m]]:
+            touching[left] = touching[m]
+            left += 1
+    return left
+
+
+@inner
+def solve_normal_forces(
+    body: Body, state: Array, touching: Indices, n: int, motion: Array, drive: Array, forces: Array
+) -> None:
+    """Solve 0 ≤ forces ⊥ (drive + effect of the forces) ≥ 0 over the touching vertices by projected Gauss-Seidel.
+
+    `motion` (3,) is the centre's vertical motion and ω_x, ω_y, velocities or accelerations; the effect of the forces (n,)
+    is added to it. `drive` (n,) is the motion that each vertex has besides.
+    """
+    k = body.inertia / body.mass
+    for m in range(n):
+        forces[m] = 0.0
+    for _ in range(MAX_NORMAL_SWEEPS):
+        largest, change = 0.0, 0.0
+        for m in range(n):
+            x, y, _ = lever_arm(body.vertices[touching[m]], state)
+            rising = motion[0] + motion[1] * y - motion[2] * x + drive[m]
+            new = max(0.0, forces[m] - rising / (1.0 + (x * x + y * y) / k))
+            step = new - forces[m]
+            forces[m] = new
+            motion[0] += step
+            motion[1] += step * y / k
+            motion[2] -= step * x / k
+            largest, change = max(largest, new), max(change, abs(step))
+        if change <= NORMAL_SWEEP_TOLERANCE * largest:
+            break
+
+
+@inner
+def simultaneous_inelastic_impact(
+    body: Body, plane: Plane, state: Array, time: float, touching: Indices, n: int, room: Array
+) -> None:
+    """Stop the slow approach of the touching vertices, in place, as an impact with χ = 0 of all of them at once."""
+    motion, drive, forces = room[0], room[1], room[2]
+    motion[0], motion[1], motion[2] = state[9] - table_velocity(plane, time), state[10], state[11]
+    for m in range(n):
+        drive[m] = 0.0
+    solve_normal_forces(body, state, touching, n, motion, drive, forces)
+    state[9], state[10], state[11] = motion[0] + table_velocity(plane, time), motion[1], motion[2]
+
+
+@inner
+def simultaneous_impact(
+    body: Body, plane: Plane, state: Array, time: float, chi: float, touching: Indices, n: int, room: Array
+) -> None:
+    """Apply the smooth impact of all touching vertices at once, in place; see `throw.touch`."""
+    v, p, q = state[9], state[10], state[11]
+    simultaneous_inelastic_impact(body, plane, state, time, touching, n, room)
+    state[9] += chi * (state[9] - v)
+    state[10] += chi * (state[10] - p)
+    state[11] += chi * (state[11] - q)

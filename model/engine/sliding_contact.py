@@ -3,7 +3,8 @@
 The motion is followed by steps of half the old and half the new velocities, the new ones from `friction_step` (Moreau; Jean,
 Comput. Methods Appl. Mech. Eng. 177, 235, 1999; Stewart & Trinkle, Int. J. Numer. Meth. Eng. 39, 2673, 1996). Sticking is
 exact, and the impulses create no energy. The order is low, so that a step is FRICTION_STEP_PART of the turn that
-`Precision.step_turn` allows without friction. Equations and accuracy: `throw.held_contact`.
+`Precision.step_turn` allows without friction. The drag of the air acts within a step as gravity does, at the velocity at its
+begin. Equations and accuracy: `throw.held_contact`.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from .types import (
     Knots,
     Matrix6,
     Plane,
+    PlaneInAir,
     RoughLaw,
     Setup,
     has_friction,
@@ -222,7 +224,7 @@ def friction_step(
 ) -> int:
     """One time step of held contact: changes `velocity` (6,) [m/s, rad/s] of centre and spin in place.
 
-    Gravity acts first, as the change of velocity `push` (3,) [m/s], g times the step. Then the corners get the impulses with
+    Gravity and drag act first, as the change of velocity `push` (3,) [m/s]. Then the corners get the impulses with
     which each obeys `inelastic_impulse` in the presence of the others, for the velocities at the end of the step. So energy
     is lost, never gained, and a corner that sticks has no velocity at all. The impulses of `corners` are a first guess, zero or
     those of the step before, and the result afterwards. No corner is slower than the table at the end, but for rounding.
@@ -315,6 +317,55 @@ def move_freely(state: Array, dt: float) -> None:
 
 
 @inner
+def push_of_step_in_air(plane: PlaneInAir, state: Array, dt: float) -> tuple[float, float, float]:
+    """`push_of_step` against drag, by the closed form of drag alone, |v| = v₀/(1 + k v₀ t), which turns no die back."""
+    vx, vy, vz = state[7], state[8], state[9]
+    slowed = plane.drag * sqrt(vx * vx + vy * vy + vz * vz) * dt
+    part = slowed / (1.0 + slowed)
+    return plane.gx * dt - part * vx, plane.gy * dt - part * vy, -plane.g * dt - part * vz
+
+
+def push_of_step(plane: Plane | PlaneInAir, state: Array, dt: float) -> tuple[float, float, float]:
+    """Change of the velocity [m/s] in a step of dt [s] by all but the table: gravity, and the drag."""
+    if isinstance(plane, PlaneInAir):
+        push: tuple[float, float, float] = push_of_step_in_air(plane, state, dt)
+        return push
+    return plane.gx * dt, plane.gy * dt, -plane.g * dt
+
+
+@overload(push_of_step, strict=False)
+def _push_of_step_of(plane: Any, state: Any, dt: Any) -> Any:
+    """The branch of `push_of_step` that the type of the plane asks for, chosen when it is compiled."""
+    if plane.instance_class is PlaneInAir:
+        return push_of_step_in_air.py_func
+    return lambda plane, state, dt: (plane.gx * dt, plane.gy * dt, -plane.g * dt)
+
+
+@inner
+def least_weight_in_air(plane: PlaneInAir) -> float:
+    """`least_weight` against drag: the minimum over φ of g - A ω² sin φ - k A² ω² cos² φ, where the table sinks."""
+    swing = plane.drag * plane.amplitude
+    if 2.0 * swing <= 1.0:
+        return plane.g - plane.amplitude * plane.rate * plane.rate
+    return plane.g - plane.amplitude * plane.rate * plane.rate * (swing + 0.25 / swing)
+
+
+def least_weight(plane: Plane | PlaneInAir) -> float:
+    """The least that presses a die that rides on the table onto it, per mass [m/s²]."""
+    if isinstance(plane, PlaneInAir):
+        return float(least_weight_in_air(plane))
+    return plane.g - plane.amplitude * plane.rate * plane.rate
+
+
+@overload(least_weight, strict=False)
+def _least_weight_of(plane: Any) -> Any:
+    """The branch of `least_weight` that the type of the plane asks for, chosen when it is compiled."""
+    if plane.instance_class is PlaneInAir:
+        return least_weight_in_air.py_func
+    return lambda plane: plane.g - plane.amplitude * plane.rate * plane.rate
+
+
+@inner
 def sliding_step(
     sliding: SlidingBody, state: Array, time: float, dt: float, room: SlidingRoom, after: Array, sweep_tolerance: float
 ) -> int:
@@ -335,7 +386,7 @@ def sliding_step(
     velocity, push = np.empty(6), np.empty(3)
     for k in range(6):
         velocity[k] = after[7 + k]
-    push[0], push[1], push[2] = plane.gx * dt, plane.gy * dt, -plane.g * dt
+    push[0], push[1], push[2] = push_of_step(plane, state, dt)
     for k in range(n):
         for m in range(3):
             impulses[k, m] = guess[k, m] * dt
@@ -367,7 +418,7 @@ def rides_forever(sliding: SlidingBody, state: Array, time: float, dt: float, sw
     body, mu, plane, active = sliding
     if state[9] != table_velocity(plane, time) or state[7:9].any() or state[10:13].any():
         return False
-    least = plane.g - plane.amplitude * plane.rate * plane.rate
+    least = least_weight(plane)
     if least <= 0.0:
         return False
     resting, after, room = state.copy(), np.empty(13), np.zeros((3, body.vertices.shape[0], 3))

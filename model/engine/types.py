@@ -151,8 +151,35 @@ class Plane(NamedTuple):
     """[rad]."""
 
 
+class PlaneInAir(NamedTuple):
+    """A table in air, which slows the centre of mass by -k |v| v: a type of its own, so that a throw in vacuum does not compile
+    it."""
+
+    gx: float
+    gy: float
+    g: float
+    amplitude: float
+    rate: float
+    phase: float
+    """These six as of `Plane`."""
+    drag: float
+    """k [1/m], above 0."""
+
+
 LEVEL = Plane(0.0, 0.0, GRAVITY_M_S2, 0.0, 0.0, 0.0)
 """A level table at rest."""
+
+
+def has_air(plane: Plane | PlaneInAir) -> bool:
+    """Whether the die moves against drag."""
+    return isinstance(plane, PlaneInAir)
+
+
+@overload(has_air, strict=False)
+def _has_air(plane: Any) -> Any:
+    """A constant of the type of the plane, as that of `has_friction`."""
+    in_air = plane.instance_class is PlaneInAir
+    return lambda plane: in_air
 
 
 # --- Precision ---
@@ -215,7 +242,8 @@ class Setup(NamedTuple):
     body: Any
     """Body or AsymmetricBody."""
     law: Law
-    plane: Plane
+    plane: Any
+    """Plane or PlaneInAir."""
     precision: Precision
 
 
@@ -237,7 +265,8 @@ class Contact(NamedTuple):
 
     body: Any
     """Body or AsymmetricBody."""
-    plane: Plane
+    plane: Any
+    """Plane or PlaneInAir."""
     i: int
     j: int
 

@@ -5,7 +5,8 @@ vector), velocity and angular velocity. Flight has a closed form, and an impact 
 (`throw.tangent`). On an oscillating table the height and velocity of the vertex are those relative to it, and the
 instant shifts by δt = -δh/u, with u the relative velocity. Held contact uses central differences of the integration,
 which keeps the disturbed vertices on the table; laws without derivatives are differenced in the same way. Lengths are
-measured in circumradii R, times in √(R/g), angles in radians. The exponents do not depend on that choice.
+measured in circumradii R, times in √(R/g), angles in radians. The exponents do not depend on that choice. Drag is
+refused.
 
 **Exponents.** λ = lim (1/t) Σ log |δ_k⁺|/|δ_(k-1)⁺|, with the disturbance rescaled to length 1 at every impact
 (Benettin, Galgani, Giorgilli, Strelcyn, Meccanica 15, 9, 1980). At χ = 1 the motion is Hamiltonian: the twelve
@@ -130,7 +131,7 @@ def error_growth(setup: ThrowSetup, release: State, *, impacts: int | None = Non
 
     A throw that never ends is stopped after BOUNCING_CAP impacts. Raises ValueError as `throw_die` does.
     """
-    packed, start, start_s = setup.packed, checked_release(setup.die, release, setup.table), float(release.time_s)
+    packed, start, start_s = _in_vacuum(setup), checked_release(setup.die, release, setup.table), float(release.time_s)
     most = engine.NO_LIMIT if impacts is None else impacts
     limits = engine.Limits(np.inf, most, setup.impact_cap, impacts is None)
     code, _, _, _, _, log, knots = engine.run_throw(packed, start, start_s, limits, True)
@@ -145,7 +146,7 @@ def decidable_in_double_precision(setup: ThrowSetup, release: State) -> Decidabi
 
     The release is taken as exact to the last bit. Raises ValueError as `throw_die` does.
     """
-    packed, start = setup.packed, checked_release(setup.die, release, setup.table)
+    packed, start = _in_vacuum(setup), checked_release(setup.die, release, setup.table)
     error_of_start = release_error(start[None], packed.body.radius)
     face, impacts, code, error, margin = derivatives.decide(
         packed, start, float(release.time_s), error_of_start, setup.impact_cap
@@ -164,7 +165,7 @@ def decidable_in_double_precision_many(
     Returns (n, 3) row of the face or -1, number of impacts, code of the ending; (n,) whether the outcome is certain in double
     precision; (n,) margins as in `Decidability`. It runs without the interpreter's lock, so threads may share the work.
     """
-    packed, starts = setup.packed, np.ascontiguousarray(starts, float)
+    packed, starts = _in_vacuum(setup), np.ascontiguousarray(starts, float)
     landed, figures = np.empty((len(starts), 3), np.int64), np.empty((len(starts), 2))
     errors = release_error(starts, packed.body.radius)
     derivatives.decide_many(packed, starts, errors, setup.impact_cap, landed, figures)
@@ -239,6 +240,16 @@ def exponents_of(setup: ThrowSetup, logs: Array, times_s: Array, left_out: int) 
     )
 
 
+def _in_vacuum(setup: ThrowSetup) -> engine.Setup:
+    """What the kernels take. Raises ValueError for drag, of which these derivatives know nothing."""
+    if setup.drag_per_m > 0.0:
+        raise InputError(
+            f"drag_per_m = {setup.drag_per_m:g}: growth of errors, decidability and Lyapunov exponents are computed in vacuum; "
+            "wanted 0"
+        )
+    return setup.packed
+
+
 def _ratio(logs: Array, spans: Array) -> tuple[float, float]:
     """Σ logs / Σ spans with its standard error, the larger one of that from orbits and that from blocks of them."""
     ratio = float(logs.sum() / spans.sum())
@@ -261,7 +272,7 @@ def _orbit(
     """
     growth, clock = np.empty((impacts, 1)), np.empty(impacts)
     code, reached, _, _ = derivatives.run_exponents(
-        setup.packed, packed, start_s, _random_disturbance(setup, rng), growth, clock
+        _in_vacuum(setup), packed, start_s, _random_disturbance(setup, rng), growth, clock
     )
     if reached < impacts:
         raise InputError(

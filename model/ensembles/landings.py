@@ -78,6 +78,8 @@ class ThrowSetup:
     law: ImpactLaw
     table: Table = LEVEL
     precision: Precision = EXACT
+    drag_per_m: float = 0.0
+    """k of `throw_die`."""
 
     @property
     def packed_law(self) -> engine.Law:
@@ -87,7 +89,8 @@ class ThrowSetup:
     @property
     def packed(self) -> engine.Setup:
         """The record that the kernels take, for a die with one moment of inertia."""
-        return engine.Setup(body_of(self.die), self.packed_law, self.table.plane, self.precision.packed)
+        plane = self.table.plane_in_air(self.drag_per_m)
+        return engine.Setup(body_of(self.die), self.packed_law, plane, self.precision.packed)
 
     @property
     def impact_cap(self) -> int:
@@ -107,7 +110,7 @@ class ThrowSetup:
         landed, lowest = np.zeros((len(states), 3), np.int64), np.zeros((len(states), after + 1), np.int64)
         starts = kernel_states(self.die, self.table, states)
         kind = body_kind(self.die)
-        refuse_unsupported(Door.THROW, kind, self.packed_law)
+        refuse_unsupported(Door.THROW, kind, self.packed_law, has_drag=self.drag_per_m > 0.0)
         if needs_asymmetric_kernels(kind, self.packed_law):
             body, body_from_principal = asymmetric_body_of(self.die)
             starts[:, 3:7] = quat_multiply(starts[:, 3:7], body_from_principal)

@@ -13,4 +13,6 @@ from .fading import RestitutionBySpeed as RestitutionBySpeed
 from .impact_law import ImpactLaw as ImpactLaw
 from .smooth import SmoothImpact as SmoothImpact
 from .table import LEVEL as LEVEL
+from .table import MAX_DRAG_PER_M as MAX_DRAG_PER_M
 from .table import Table as Table
+from .table import checked_drag as checked_drag

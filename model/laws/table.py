@@ -28,6 +28,17 @@ MAX_FREQUENCY_HZ = 1e9
 """[Hz] At higher frequencies rounding of the time leaves no phase."""
 
 
+MAX_DRAG_PER_M = 1e3
+"""[1/m] A sheet of paper that falls flat has some 10. Above this, air is no thin fluid for the die."""
+
+
+def checked_drag(drag_per_m: float) -> float:
+    """The drag k [1/m] of v' = g - k |v| v. Raises ValueError outside 0 to MAX_DRAG_PER_M."""
+    if not 0.0 <= drag_per_m <= MAX_DRAG_PER_M:
+        raise InputError(f"drag_per_m = {drag_per_m}: wanted 0 to {MAX_DRAG_PER_M:g}, half of ρ c A/m in 1/m")
+    return float(drag_per_m)
+
+
 @dataclass(frozen=True)
 class Table:
     """The plane through the origin on which a die falls; level and at rest by default."""
@@ -81,6 +92,10 @@ class Table:
         amplitude = self.amplitude_m if self.moves else 0.0
         rate = 2.0 * np.pi * self.frequency_hz
         return engine.Plane(float(down[0]), float(down[1]), float(-down[2]), amplitude, rate, self.phase_rad)
+
+    def plane_in_air(self, drag_per_m: float) -> engine.Plane | engine.PlaneInAir:
+        """The same with the drag k [1/m] of the air above the table, if there is any. Raises ValueError as `checked_drag`."""
+        return engine.PlaneInAir(*self.plane, drag_per_m) if checked_drag(drag_per_m) > 0.0 else self.plane
 
 
 LEVEL = Table()

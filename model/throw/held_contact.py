@@ -57,7 +57,7 @@ class HeldContact(SampledFlight):
     knots: Array
     """(k, 14) time [s] and state after each step of the integration, in the table's axes; the first is the start."""
     body: engine.Body
-    plane: engine.Plane
+    plane: engine.Plane | engine.PlaneInAir
     has_friction: bool
     """Whether the motion was integrated with friction, by steps of low order."""
     world_from_table: Array
@@ -83,11 +83,11 @@ class HeldContact(SampledFlight):
             engine.move_freely(state, time - knots[k + 1, 0])
             return state
         if len(self.vertices) > 2:
-            engine.carry_on_face(state, self.plane, knots[k, 0], dt)
+            engine.slide_on_face(state, self.plane, knots[k, 0], dt)
             return state
         after = np.empty(13)
         contact = engine.Contact(self.body, self.plane, *(*self.vertices, -1)[:2])
-        engine.held_step(contact, state, knots[k, 0], dt, engine.step_workspace(), after)
+        engine.contact_step(contact, state, knots[k, 0], dt, engine.step_workspace(), after)
         return after
 
     def _world(self, packed: Array, time_s: float) -> State:

@@ -45,6 +45,7 @@ class _Setup:
     die: Die
     body: engine.Body
     table: Table
+    drag_per_m: float
     vertices: Array
     quaternion: Array
     """(4,) from the table's axes to the world's."""
@@ -64,6 +65,26 @@ class AsymmetricMotion(SampledFlight):
         """The state at any instant of the span; before and after it, that of its nearer end."""
         state = self.motion.at(min(max(time_s, self.start.time_s), self.end_s))
         return rotated_state(state, self.table.world_from_table) if self.table.tilt_rad else state
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DraggedFlight(Flight):
+    """Flight of a spherical top with quadratic drag; before and after it the same motion is extrapolated."""
+
+    drag_per_m: float
+
+    def poses(self, times_s: ArrayLike) -> tuple[Array, Array]:
+        """Positions (n, 3) [m] and quaternions (n, 4) wxyz at times (n,) [s]."""
+        return self._trajectory(times_s)[:, :3], super().poses(times_s)[1]
+
+    def rates(self, times_s: ArrayLike) -> Array:
+        """Velocities [m/s] and angular velocities [rad/s] (n, 6), world axes, at times (n,) [s]."""
+        return np.hstack([self._trajectory(times_s)[:, 3:], super().rates(times_s)[:, 3:]])
+
+    def _trajectory(self, times_s: ArrayLike) -> Array:
+        """Positions and velocities (n, 6) at times (n,) [s]."""
+        delays = np.atleast_1d(np.asarray(times_s, float)) - self.start.time_s
+        return engine.drag_trajectory(self.drag_per_m, self.gravity_m_s2, packed_state(self.start), delays)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -107,7 +128,14 @@ def free_flight(die: Die, start: State, end_s: float, gravity_m_s2: float) -> Fl
 
 
 def throw_from_log(
-    die: Die, start: Array, begin_s: float, log: Array, end_s: float, knots: Array = _NO_KNOTS, table: Table = LEVEL
+    die: Die,
+    start: Array,
+    begin_s: float,
+    log: Array,
+    end_s: float,
+    knots: Array = _NO_KNOTS,
+    table: Table = LEVEL,
+    drag_per_m: float = 0.0,
 ) -> Throw:
     """The Throw of a die with one moment of inertia from its packed start (13,) and its logged events (k, LOG_COLUMNS).
 
@@ -116,7 +144,7 @@ def throw_from_log(
     """
     quaternion = table.world_from_table
     body = body_of(die)
-    setup = _Setup(die, body, table, body.vertices, quaternion, matrix_from_quat(quaternion))
+    setup = _Setup(die, body, table, drag_per_m, body.vertices, quaternion, matrix_from_quat(quaternion))
     starts = np.vstack([start, *(state_after(row) for row in log)])
     times = [begin_s, *(float(t) for t in log[:, 0]), float(end_s)]
     contacts = [FREE, *(_contact(row) for row in log)]
@@ -199,8 +227,10 @@ def _flight(setup: _Setup, packed: Array, begin: float, end: float, contact: Pai
         lifted = packed[0:3] + np.array([0.0, 0.0, setup.die.corner_radius_m])
         quaternion = quat_multiply(setup.quaternion, packed[3:7])
         position, velocity, omega = setup.matrix @ lifted, setup.matrix @ packed[7:10], setup.matrix @ packed[10:13]
-        state = State(begin, position, quaternion, velocity, omega)
-        return Flight(state, end, gravity_m_s2=setup.table.gravity_m_s2)
+        state, gravity_m_s2 = State(begin, position, quaternion, velocity, omega), setup.table.gravity_m_s2
+        if setup.drag_per_m > 0.0:
+            return DraggedFlight(start=state, end_s=end, gravity_m_s2=gravity_m_s2, drag_per_m=setup.drag_per_m)
+        return Flight(state, end, gravity_m_s2=gravity_m_s2)
     vertices = _held_vertices(contact)
     if contact[1] == HELD_FACE:
         vertices = setup.die.solid.faces[engine.lowest_face_row(setup.die.solid.normals, packed)]
@@ -213,7 +243,7 @@ def _flight(setup: _Setup, packed: Array, begin: float, end: float, contact: Pai
         knots=knots,
         body=setup.body,
         gravity_m_s2=setup.table.gravity_m_s2,
-        plane=setup.table.plane,
+        plane=setup.table.plane_in_air(setup.drag_per_m),
         has_friction=contact[1] == HELD_WITH_FRICTION,
         world_from_table=setup.quaternion,
     )

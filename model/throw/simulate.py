@@ -21,6 +21,11 @@ this proof. It is given up after 1000 √(R/g) without the energy to stand up (S
 die loses energy slowly, after 0.1/(1 - χ) times as long. A body with several moments of inertia is proved to spin for ever
 only on a vertex on an axis of symmetry of its inertia (`engine.asymmetric`).
 
+**Air.** Drag acts against the velocity of the centre and has no moment about it. Along the table's normal it takes k |v|
+v_z² from E' in each second, and it leaves ω_z and b as they are. So E' never grows, nor does E, and both proofs hold
+against drag word for word. `engine.air` has the flight and its next touch. On the table the drag adds to the weight, and
+slows the die.
+
 **Balance.** A die that is exactly balanced on a vertex or an edge stays there (BALANCED). A neighbouring state falls.
 
 **Bouncing.** At χ = 1, and on a table that oscillates hard, a throw may never end (BOUNCING). Such a throw needs a
@@ -165,13 +170,15 @@ def throw_die(
     until: Until = Until(),
     table: Table = LEVEL,
     precision: Precision = EXACT,
+    drag_per_m: float = 0.0,
 ) -> ThrowResult:
     """Follow a die from its release until its face is decided or a limit of `until` is reached.
 
     With a limit the throw continues after its face is decided, and `landed_face` still names it. Rounded corners touch the
-    table with the spheres about the corners of the inner polyhedron. Raises ValueError for a release that is not finite,
-    whose quaternion is not of length 1, that lies below the table, or that is later than the end time, and for what
-    `supported` does not combine.
+    table with the spheres about the corners of the inner polyhedron. `drag_per_m` is k in v' = g - k |v| v, in 1/m, as of
+    `propagate`, from the release to rest. Raises ValueError for a release that is not finite,
+    whose quaternion is not of length 1, that lies below the table, or that is later than the end time, for drag
+    outside 0 to `laws.MAX_DRAG_PER_M`, and for what `supported` does not combine.
     """
     duration = np.inf if until.time_s is None else float(until.time_s - release.time_s)
     if duration < 0.0:
@@ -179,20 +186,21 @@ def throw_die(
     endless = until == Until() and is_endless(law, table)
     cap = BOUNCING_CAP if endless else IMPACT_CAP
     kind, packed_law = body_kind(die), engine.law_of(law.code, law.parameters)
-    refuse_unsupported(Door.THROW, kind, packed_law)
+    plane = table.plane_in_air(drag_per_m)
+    refuse_unsupported(Door.THROW, kind, packed_law, has_drag=drag_per_m > 0.0)
     if needs_asymmetric_kernels(kind, packed_law):
         packed_state(release)  # raises for an invalid state while it is still in the axes of the caller
         return _throw_asymmetric(die, release, law, until, duration, table, precision, cap)
     start = checked_release(die, release, table)
     if kind is BodyKind.LOADED:
         start = kernel_states(die, table, packed_state(release)[None])[0]
-    setup = engine.Setup(body_of(die), packed_law, table.plane, precision.packed)
+    setup = engine.Setup(body_of(die), packed_law, plane, precision.packed)
     impacts = engine.NO_LIMIT if until.impacts is None else until.impacts
     code, _, face, end, _, log, knots = engine.run_throw(
         setup, start, float(release.time_s), engine.Limits(duration, impacts, cap, until == Until()), True
     )
     ending = Ending.BOUNCING if endless and code == engine.IMPACT_CAP else ENDINGS[code]
-    throw = throw_from_log(die, start, float(release.time_s), log, end, knots, table)
+    throw = throw_from_log(die, start, float(release.time_s), log, end, knots, table, drag_per_m)
     return ThrowResult(throw, ending, int(face) + 1 if face >= 0 else None, bool((log[:, 23] < 0.0).any()))
 
 

@@ -39,14 +39,15 @@ class Door(Enum):
 _IMPACTS = frozenset({Action.FRICTION, Action.RESTITUTION_BY_SPEED, Action.FRICTION_BY_SPEED})
 _NOTHING: frozenset[Action] = frozenset()
 SUPPORTED: dict[Door, dict[BodyKind, frozenset[Action]]] = {
-    Door.THROW: {BodyKind.CENTRED: _IMPACTS, BodyKind.LOADED: _IMPACTS, BodyKind.ASYMMETRIC: _NOTHING},
+    Door.THROW: {BodyKind.CENTRED: _IMPACTS | {Action.DRAG}, BodyKind.LOADED: _IMPACTS, BodyKind.ASYMMETRIC: _NOTHING},
     Door.DERIVATIVES: {
         BodyKind.CENTRED: frozenset({Action.FRICTION, Action.RESTITUTION_BY_SPEED, Action.DRAG}),
         BodyKind.LOADED: frozenset({Action.FRICTION, Action.RESTITUTION_BY_SPEED}),
         BodyKind.ASYMMETRIC: frozenset({Action.FRICTION, Action.RESTITUTION_BY_SPEED}),
     },
 }
-"""What may act on which body; several of them together, too."""
+"""What may act on which body; several of them together, too. Drag acts at the centroid, so it would turn a die whose centre of
+mass lies beside it: by up to 7° in 0.2 s at 3 m/s and 0.03 per m, for 1 mm in a cube of 16 mm. No kernel has that moment."""
 
 _ACTIONS_OF_CODE = {
     engine.SMOOTH: _NOTHING,

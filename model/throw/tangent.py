@@ -43,8 +43,8 @@ border the two sides are mixed.
   one-sided derivative, also on a table that has a frequency and no amplitude.
 - `drag_per_m`: k in v' = g - k |v| v, in 1/m, half of ρ c A/m, about 0.03 for a light cube of 16 mm. The value itself
   is an argument. With drag, or its derivative, the motion of the centre has no closed form. It is integrated by the
-  method of order 8 of Dormand and Prince together with its variational equations; a perturbation of the parabola would
-  need several orders at k v t = 0.1. Not for asymmetric dice.
+  method of order 8 of Dormand and Prince together with its variational equations (`engine.air`); a perturbation of the
+  parabola would need several orders at k v t = 0.1. Not for asymmetric dice.
 
 For a fit, prescribe the vertices. Then each flight lasts until that very vertex comes down, even if another dips below
 the table a little meanwhile, and the poses are a smooth function of the start as long as none of the impacts vanishes.
@@ -65,7 +65,7 @@ from .. import engine
 from ..die import Die, inner_vertices
 from ..engine import derivatives
 from ..errors import InputError
-from ..laws import LEVEL, ImpactLaw, SmoothImpact, Table
+from ..laws import LEVEL, ImpactLaw, SmoothImpact, Table, checked_drag
 from ..rotations import cross_matrix, matrix_from_quat, quat_multiply
 from .asymmetric_tangent import (
     CENTRE_OF_MASS_AXES,
@@ -73,9 +73,9 @@ from .asymmetric_tangent import (
     run_asymmetric_tangent,
     throw_from_flights,
 )
-from .body import body_of, centroid_state, checked_release, packed_start, packed_state, unpacked_state
+from .body import body_of, centroid_state, checked_release, packed_start, unpacked_state
 from .history import state_after, throw_from_log
-from .motion import Flight, State, Throw, rotated_state
+from .motion import State, Throw, rotated_state
 from .simulate import Ending
 from .supported import BodyKind, Door, body_kind, refuse_unsupported
 
@@ -143,30 +143,6 @@ class Propagation:
         return self.make_throw()
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class DraggedFlight(Flight):
-    """Flight of a spherical top with quadratic drag; before and after it the same motion is extrapolated."""
-
-    drag_per_m: float
-
-    def at(self, time_s: float) -> State:
-        """The state at any instant."""
-        flow = self._trajectory(np.array([time_s]))[0]
-        quaternion = super().poses(np.array([time_s]))[1][0]
-        return State(time_s, flow[:3], quaternion, flow[3:6], self.start.omega_rad_s)
-
-    def poses(self, times_s: ArrayLike) -> tuple[Array, Array]:
-        """Positions (n, 3) [m] and quaternions (n, 4) wxyz at times (n,) [s]."""
-        times = np.atleast_1d(np.asarray(times_s, float))
-        return self._trajectory(times)[:, :3], super().poses(times)[1]
-
-    def _trajectory(self, times: Array) -> Array:
-        """Positions and velocities (n, 6) at times (n,) [s]."""
-        return engine.drag_trajectory(
-            self.drag_per_m, self.gravity_m_s2, packed_state(self.start), times - self.start.time_s
-        )
-
-
 def propagate(
     die: Die,
     start: State,
@@ -222,7 +198,7 @@ def propagate(
     make_throw = (
         partial(throw_from_flights, die, start, table, log, end_s)
         if is_asymmetric
-        else partial(_spherical_throw, die, run, log, end_s, table, drag_per_m)
+        else partial(throw_from_log, die, run.start, run.start_time_s, log, end_s, table=table, drag_per_m=drag_per_m)
     )
     back = np.argsort(order, kind="stable")
     positions, quaternions, jacobian = _in_world(die, table, parameters, poses[back], jacobian[back])
@@ -262,10 +238,8 @@ def _differentiated_law(law: ImpactLaw, parameters: Sequence[str]) -> engine.Law
 
 
 def _air(drag_per_m: float, parameters: Sequence[str]) -> engine.Vacuum | engine.Air:
-    """Air if there is drag, or if a derivative by drag is asked for; otherwise vacuum. Raises ValueError for drag below 0."""
-    if not (np.isfinite(drag_per_m) and drag_per_m >= 0.0):
-        raise InputError(f"drag_per_m = {drag_per_m}: wanted 0 or more, half of ρ c A/m in 1/m")
-    if drag_per_m == 0.0 and "drag_per_m" not in parameters:
+    """Air if there is drag, or if a derivative by drag is asked for; otherwise vacuum. Raises ValueError as `checked_drag`."""
+    if checked_drag(drag_per_m) == 0.0 and "drag_per_m" not in parameters:
         return engine.Vacuum(0.0)
     return engine.Air(float(drag_per_m), np.array([1.0 if name == "drag_per_m" else 0.0 for name in parameters]))
 
@@ -367,15 +341,3 @@ def _state_after_impact(die: Die, table: Table, row: Array, is_asymmetric: bool)
         packed[2] += die.corner_radius_m
         state = unpacked_state(packed, row[0])
     return rotated_state(state, table.world_from_table) if table.tilt_rad else state
-
-
-def _spherical_throw(die: Die, run: TangentRun, log: Array, end_s: float, table: Table, drag_per_m: float) -> Throw:
-    """`throw_from_log`, with dragged flights if there is drag."""
-    throw = throw_from_log(die, run.start, run.start_time_s, log, end_s, table=table)
-    if drag_per_m == 0.0:
-        return throw
-    flights = tuple(
-        DraggedFlight(start=f.start, end_s=f.end_s, gravity_m_s2=f.gravity_m_s2, drag_per_m=drag_per_m)
-        for f in throw.flights
-    )
-    return Throw(flights, throw.impacts)

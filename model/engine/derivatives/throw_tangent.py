@@ -6,7 +6,7 @@ comes down, and the poses are a smooth function of the start. Held contact is no
 
 from __future__ import annotations
 
-from math import cos, inf, sin, sqrt
+from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,17 +14,25 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from ...compiled import compiled, inner
-from ..air import AIR_STEP_S, FLOW_SIZE, Air, Vacuum, drag_acceleration, integrate_flow, start_flow
+from ..air import (
+    FLOW_SIZE,
+    MOTION_SIZE,
+    Air,
+    FreeDie,
+    Vacuum,
+    drag_acceleration,
+    first_touch_in_air,
+    integrate_flow,
+    start_flow,
+    touch_of_vertex_in_air,
+)
 from ..flight import (
-    BELOW_TABLE,
-    LEAST_BOUND,
     FallingDie,
     advance,
     first_touch,
     height_terms,
     spin_rate,
     table_acceleration,
-    table_height,
     table_velocity,
     touch_of_vertex,
 )
@@ -37,7 +45,6 @@ from ..types import (
     LOG_COLUMNS,
     NO_TOUCH,
     NONE,
-    ROUNDING_BOUND,
     TIME_REACHED,
     Array,
     Plane,
@@ -176,58 +183,13 @@ def touch_in_vacuum(
 def touch_in_air(
     air: Air, plane: Plane, start: FlightStart, terms: Array, radius: float, clock: float, limit: float
 ) -> tuple[float, int, float, float]:
-    """`touch_ahead` against drag, by steps of the integration.
-
-    No step is longer than the parabola allows that bounds the height of each vertex from below or, backwards, from above.
-    """
-    flow, spin, g = np.empty(FLOW_SIZE), start.spin, plane.g
-    start_flow(start.state, flow)
-    peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
-    t, alone, back = 0.0, limit == inf, False
-    below = BELOW_TABLE * radius
-    while True:
-        c, s = cos(spin * t), sin(spin * t)
-        speed = sqrt(flow[3] * flow[3] + flow[4] * flow[4] + flow[5] * flow[5]) + 2.0 * g * AIR_STEP_S
-        push = air.drag * speed * speed + peak_table_acceleration
-        size = abs(flow[2]) + radius * (1.0 + spin * abs(t))
-        size += plane.amplitude * (1.0 + abs(plane.rate * (clock + t) + plane.phase))
-        h_tol = ROUNDING_BOUND * size
-        v_tol = ROUNDING_BOUND * (speed + spin * radius * (1.0 + spin * abs(t)) + plane.amplitude * plane.rate)
-        hit, hit_v, hit_a, step = -1, 0.0, 0.0, 2.0 * AIR_STEP_S
-        for i in range(terms.shape[0]):
-            a, b = terms[i, 0], terms[i, 1]
-            h = flow[2] + a * c + b * s + terms[i, 2] - table_height(plane, clock + t)
-            v = flow[5] + spin * (b * c - a * s) - table_velocity(plane, clock + t)
-            if alone and t == 0.0 and h < below and v < 0.0:
-                back = True
-            swing_most = spin * spin * terms[i, 3]
-            if back:
-                if h >= -h_tol:
-                    return t, i, v, -g
-                bound = max(swing_most + push - g, LEAST_BOUND * g)
-                root = sqrt(v * v - 2.0 * bound * h)
-                step = min(step, 2.0 * h / (v - root) if v < 0.0 else (v + root) / bound)
-                continue
-            bound = g + swing_most + push
-            if h > h_tol:
-                root = sqrt(v * v + 2.0 * bound * h)
-                step = min(step, (v + root) / bound if v > 0.0 else 2.0 * h / (root - v))
-            elif v > v_tol:
-                step = min(step, 2.0 * v / bound)
-            elif hit < 0 or v < hit_v:
-                hit, hit_v = i, v if v < -v_tol else 0.0
-                hit_a = -g - spin * spin * (a * c + b * s) - table_acceleration(plane, clock + t)
-                if alone and h < below:
-                    return t, -1, hit_v, hit_a
-        if hit >= 0:
-            return t, hit, hit_v, hit_a
-        if back and t < -sqrt(2.0 * radius / g):
-            return t, -1, 0.0, 0.0
-        if t + step > limit:
-            return limit, -1, 0.0, 0.0
-        step = -step if back else step
-        integrate_flow(air.drag, plane, flow, step)
-        t += step
+    """`touch_ahead` against drag."""
+    die, room = FreeDie(start.state, start.spin, radius, terms), np.empty((14, MOTION_SIZE))
+    if limit < inf:
+        dt, hit, velocity, acceleration, _ = first_touch_in_air(air.drag, die, plane, clock, 0.0, limit, room)
+        return dt, hit, velocity, acceleration
+    dt, found, velocity, acceleration = touch_of_vertex_in_air(air.drag, die, plane, clock, room)
+    return dt, 0 if found else -1, velocity, acceleration
 
 
 def touch_ahead(
