@@ -25,11 +25,14 @@ from ...model.rotations import matrix_from_quat
 from ...model.throw import (
     BOUNCING_CAP,
     IMPACT_CAP,
+    Door,
     Precision,
     State,
     Until,
+    body_kind,
     kernel_states,
     packed_state,
+    refuse_unsupported,
     touching_vertices,
     unpacked_state,
     world_poses,
@@ -169,8 +172,9 @@ def _kernel_poses(
     poses = np.empty((len(times), 7))
     packed = kernel_states(physics.body, physics.plane, starts)
     law = engine.law_of(physics.law.code, physics.law.parameters)
+    refuse_unsupported(Door.THROW, body_kind(physics.body), law, has_drag=physics.drag_per_m > 0.0)
     cap = BOUNCING_CAP if physics.values["chi"] >= 1.0 or physics.plane.moves else IMPACT_CAP
-    setup = engine.Setup(kernel_body(physics.body), law, physics.plane.plane, precision)
+    setup = engine.Setup(kernel_body(physics.body), law, physics.plane.plane_in_air(physics.drag_per_m), precision)
 
     def part(low: int, high: int) -> None:
         engine.poses_of_throws(setup, packed[low:high], begins_s[low:high], times, firsts[low : high + 1], cap, poses)
@@ -317,4 +321,5 @@ def _landing(physics: Physics, state: State) -> int:
     start = in_true_units(physics, state)
     packed = lifted(physics, packed_state(start)[None], np.array([start.time_s]))
     precision = Precision(slowest_bounce=COARSE.slowest_bounce, step_turn_rad=COARSE.step_turn)
-    return int(ThrowSetup(physics.body, physics.law, physics.plane, precision).throw(packed).face[0])
+    setup = ThrowSetup(physics.body, physics.law, physics.plane, precision, physics.drag_per_m)
+    return int(setup.throw(packed).face[0])

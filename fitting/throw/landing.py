@@ -117,7 +117,7 @@ def throw_of_fit(fit: Fit, die: Die, table: Table, until_s: float) -> Throw | No
         vertices=fit.vertices,
         table=physics.plane,
         parameters=(),
-        drag_per_m=physics.values.get("drag_per_m", 0.0),
+        drag_per_m=physics.drag_per_m,
     ).throw
     if fit.parameters["chi"].value is None:
         return throw

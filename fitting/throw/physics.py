@@ -239,9 +239,13 @@ class Physics:
 
     @property
     def comes_to_rest(self) -> bool:
-        """Whether the model follows throws of this die with these effects to their rest, not only from bounce to bounce. Drag,
-        of which throws know nothing, does not count."""
-        return self._is_supported(Door.THROW, {*self.effects} - {"air drag"})
+        """Whether the model follows throws of this die with these effects to their rest, not only from bounce to bounce."""
+        return self._is_supported(Door.THROW, {*self.effects})
+
+    @property
+    def drag_per_m(self) -> float:
+        """k of the air drag; 0 without it."""
+        return self.values.get("drag_per_m", 0.0)
 
     def _is_supported(self, door: Door, effects: set[str]) -> bool:
         """Whether the model combines some effects with the die."""
@@ -373,7 +377,7 @@ class Physics:
 
     def throw(self, start: State, until: Until) -> ThrowResult:
         """The throw of the die without prescribed vertices. Raises ValueError for a start below the table."""
-        return throw_die(self.body, start, self.law, until=until, table=self.plane)
+        return throw_die(self.body, start, self.law, until=until, table=self.plane, drag_per_m=self.drag_per_m)
 
     def can_release(self, start: State) -> bool:
         """Whether a throw can begin there: not below the table, where fits through prescribed vertices, and draws from
@@ -383,9 +387,15 @@ class Physics:
 
     def after(self, start: State, vertices: tuple[int, ...]) -> State:
         """The state in which the last flight of a throw through prescribed vertices begins."""
-        drag = self.values.get("drag_per_m", 0.0)
         return propagate(
-            self.body, start, self.law, [], vertices=vertices, table=self.plane, parameters=(), drag_per_m=drag
+            self.body,
+            start,
+            self.law,
+            [],
+            vertices=vertices,
+            table=self.plane,
+            parameters=(),
+            drag_per_m=self.drag_per_m,
         ).last_start
 
     def run(
@@ -409,7 +419,7 @@ class Physics:
         law = engine.law_of(self.law.code, self.law.parameters)
         begin_s = float(start.time_s)
         _, _, face, _, _, log, _ = engine.run_throw(
-            engine.Setup(kernel_body(self.body), law, self.plane.plane, precision),
+            engine.Setup(kernel_body(self.body), law, self.plane.plane_in_air(self.drag_per_m), precision),
             packed,
             begin_s,
             engine.Limits(end_s - begin_s, engine.NO_LIMIT, impacts, end_s == np.inf),
@@ -493,7 +503,7 @@ def model_poses(physics: Physics, start: State, times_s: Array, vertices: tuple[
         vertices=vertices,
         table=physics.plane,
         parameters=passed,
-        drag_per_m=physics.values.get("drag_per_m", 0.0),
+        drag_per_m=physics.drag_per_m,
     )
     columns = list(np.moveaxis(propagation.jacobian[:, :, :12], 2, 0))
     by_name = dict(zip(names, np.moveaxis(propagation.jacobian[:, :, 12:], 2, 0), strict=True))

@@ -78,7 +78,7 @@ def predict_tracks(
 
     One track: `out` is a CSV, with a JSON beside it, which holds the provenance. Several: a folder with both for each, and
     `provenance.json`. `command` is the command line that it states. Returns the predictions and
-    a sentence for each effect of the fit and each track that is left out. Raises RunError if no track can be predicted,
+    a sentence for each track that is left out. Raises RunError if no track can be predicted,
     ValueError for a file that is no fit or a frame that is no number.
     """
     law = read_law(fit_path)
@@ -112,20 +112,12 @@ def predict_tracks(
                 csv = folder / f"{one.track.stem}.csv"
                 _write(one, csv, csv.with_suffix(".json"), covariance_path(csv))
             write_provenance(folder, command=command, understood=scene, seconds=watch.seconds, inputs=inputs)
-    return tuple(made), (*_notices(law), *left_out)
+    return tuple(made), tuple(left_out)
 
 
 def _beside(track_paths: Sequence[Path]) -> list[Path]:
     """The files that belong to the tracks and are read with them."""
     return [path for track in track_paths for path in (covariance_path(track), throw_path(track)) if path.exists()]
-
-
-def _notices(law: Law) -> tuple[str, ...]:
-    """Effects of the fit that predictions leave out."""
-    drag = law.parameters["drag_per_m"].value if "drag_per_m" in law.parameters else None
-    if not drag:
-        return ()
-    return (f"The air drag of the fit, {drag:.3g} per metre, is left out: throws are simulated in a vacuum.",)
 
 
 def _predicted(
