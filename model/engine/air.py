@@ -6,8 +6,8 @@ The centre of mass obeys v' = g - k |v| v, and a disturbance (δp, δv) of it
 
 Drag does not turn the die. The motion is integrated by the method of order 8 of `runge_kutta`, alone for throws, and together
 with seven disturbances for derivatives. Two rates limit the steps: that at which the velocity turns, |v'|/|v|, and k |v|, by
-which it decays. The error is some 1e-14 m in a flight, and up to 1e-11 m at k = 10/m, or where the die nearly stands still at
-the top, where |v| is no smooth function of time.
+which it decays. The error is some 1e-14 m in a flight, and up to 1e-11 m at k = 10/m where the die nearly stands still at the
+top: there |v| is no smooth function of time.
 
 **The next touch** is found as in vacuum (`throw.touch`): no step is longer than the parabola allows that bounds the height of
 each vertex from below, nor than a step of the integration. Drag pulls a die down only while it rises. Within a step of s its
@@ -60,7 +60,7 @@ class Air(NamedTuple):
 TURN_OF_STEP = 0.2
 """Change of the velocity in one step by gravity and drag, as a part of the velocity. At 0.4 the error of a flight is 1e-12 m."""
 
-DECAY_OF_STEP = 0.2
+DECAY_OF_STEP = 0.1
 """The part of the velocity that drag takes in one step."""
 
 LEAST_STEP_S = 5e-4
@@ -108,7 +108,7 @@ def longest_step_s(drag: float, plane: Plane, motion: Array) -> float:
     step = LEAST_STEP_S
     if TURN_OF_STEP * speed > LEAST_STEP_S * pull:
         step = inf if pull == 0.0 else TURN_OF_STEP * speed / pull
-    return DECAY_OF_STEP / rate if rate * step > DECAY_OF_STEP else step
+    return DECAY_OF_STEP / rate if DECAY_OF_STEP < rate * step < inf else step
 
 
 @inner

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib as mpl
@@ -249,6 +250,16 @@ def test_a_throw_is_that_of_the_model() -> None:
     assert one.poses(1000.0)["z_m"].iloc[0] == pytest.approx(0.1)
     assert one.plot_heights().has_data()
     assert "<SimulatedThrow of a cube" in repr(one)
+
+
+def test_throws_odds_and_basins_take_air_drag() -> None:
+    law, unit = dt.SmoothImpact(0.5), RELEASE.quaternion / np.linalg.norm(RELEASE.quaternion)
+    one = dt.throw(CUBE, law, RELEASE, drag_per_m=0.5)
+    same = dt.throw_die(CUBE, replace(RELEASE, quaternion=unit), law, drag_per_m=0.5)
+    assert one.bounces["t_s"].tolist() == [impact.time_s for impact in same.throw.bounces]
+    assert dt.odds(CUBE, law, throws=100, drag_per_m=0.5).tally.rested == 100
+    x, y = dt.Axis("theta", 0.2, 1.2, 4), dt.Axis("phi", 0.1, 2.0, 3)
+    assert (dt.basins(CUBE, law, x, y, drag_per_m=0.5).face > 0).all()
 
 
 def test_odds_do_not_depend_on_the_threads() -> None:

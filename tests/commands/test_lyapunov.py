@@ -8,6 +8,9 @@ from pathlib import Path
 import pytest
 from command_line import CUBE, LAW, RELEASE, invoke, text_file
 
+from diethrow.files.plan import read_plan
+from diethrow.model.throw import throw_die
+
 FEW = ("--impacts", "400", "--orbits", "2", "--leave-out", "50")
 
 
@@ -58,3 +61,14 @@ def test_a_throw_states_whether_it_is_decidable_in_double_precision(tmp_path: Pa
     assert written["error_growth"] > 1.0
     assert 0.0 < written["error_m"] < 1e-4
     assert written["margin"] > 1.0
+
+
+def test_a_throw_in_air_lands_as_the_model_says_and_leaves_its_decidability_open(tmp_path: Path) -> None:
+    plan = text_file(tmp_path / "throw.toml", CUBE + LAW + RELEASE + "\n[world]\ndrag_per_m = 0.5\n")
+    assert invoke("throw", plan, "--out", tmp_path / "out")[0] == 0
+    written, read = json.loads((tmp_path / "out" / "throw.json").read_text()), read_plan(plan)
+    result = throw_die(read.die, read.release, read.law, drag_per_m=0.5)
+    assert written["landed_face"] == result.landed_face
+    assert written["end"]["t_s"] == result.end.time_s
+    assert written["decidable"] is None
+    assert any("it is computed for throws in vacuum" in sentence for sentence in written["messages"])

@@ -19,8 +19,10 @@ from diethrow.commands.model.face_odds import OddsPlan, odds
 from diethrow.files.work_file import WorkFile
 from diethrow.model.die import make_die
 from diethrow.model.ensembles.basins import Axis
-from diethrow.model.ensembles.landings import ENDING_OF_INDEX
+from diethrow.model.ensembles.landings import ENDING_OF_INDEX, ThrowSetup
 from diethrow.model.ensembles.odds import Share, Tally
+from diethrow.model.ensembles.releases import drawn_states
+from diethrow.model.laws import SmoothImpact
 from diethrow.model.throw.simulate import Ending
 from diethrow.replay.elements.colours import BOUNCING_COLOUR, FACE_COLOURS, NO_RELEASE_COLOUR, SPINNING_COLOUR
 from diethrow.replay.figures.ensembles import basin_map, colours_of, face_odds
@@ -235,6 +237,8 @@ def test_predictability_is_measured_and_written(tmp_path: Path, monkeypatch: pyt
         (("odds", "--height", 0.001, 0.2), "could begin below the table"),
         (("odds", "--omega", "nan"), "wanted finite numbers"),
         (("odds", "--mu", -1), "mu = -1.0: wanted a coefficient of friction"),
+        (("odds", "--drag", -1), "drag_per_m = -1.0: wanted 0 to 1000"),
+        (("basins", "--drag", "nan"), "drag_per_m = nan: wanted 0 to 1000"),
         (("basins", "--x", "z", 0, 1), "axis 'z': wanted one of z0"),
         (("basins", "--zoom", 0.3, 0.2, 0, 1), "the lower one first"),
         (("basins", "--fix", "theta:1"), "wanted NAME=VALUE"),
@@ -250,6 +254,19 @@ def test_impossible_options_give_one_sentence_and_no_folder(
     assert message in written
     assert len(written.splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_odds_and_basins_in_air_are_those_of_the_model_in_air(tmp_path: Path) -> None:
+    words = ("--chi", 0.5, "--drag", 0.5, "--threads", 1)
+    assert invoke("odds", *words, "--throws", 200, "--out", tmp_path / "odds")[0] == 0
+    (series,) = json.loads((tmp_path / "odds" / "odds.json").read_text())["series"]
+    assert series["drag_per_m"] == 0.5
+    plan = OddsPlan(CUBE, (0.5,), 40.0, throws=200, drag_per_m=0.5)
+    states = drawn_states(plan.drawn, CUBE, plan.seed, 0, 200)
+    faces = ThrowSetup(CUBE, SmoothImpact(0.5), drag_per_m=0.5).throw(states).face
+    assert [face["count"] for face in series["landed"]] == np.bincount(faces, minlength=7)[1:].tolist()
+    assert invoke("basins", *words, "--pixels", 5, 4, "--out", tmp_path / "basins")[0] == 0
+    assert json.loads((tmp_path / "basins" / "basins.json").read_text())["drag_per_m"] == 0.5
 
 
 def test_an_existing_folder_is_refused_before_any_throw(tmp_path: Path) -> None:

@@ -65,6 +65,42 @@ def test_a_die_that_lies_on_the_table_is_at_rest_at_once(happened: Note) -> None
     happened(f"landed on face {result.landed_face} after {result.impact_count} impacts")
 
 
+@pytest.mark.parametrize(
+    ("drag_per_m", "spin_rad_s", "height_m"),
+    [
+        pytest.param(1e-12, 30.0, 0.1, id="1e-12 per m"),
+        pytest.param(10.0, 30.0, 0.1, id="10 per m"),
+        pytest.param(1000.0, 30.0, 0.1, id="1000 per m"),
+        pytest.param(0.03, 1e4, 0.1, id="10 000 rad/s"),
+        pytest.param(0.03, 30.0, 1e5, id="from 100 km"),
+    ],
+)
+@pytest.mark.parametrize("mu", [0.0, 0.3], ids=lambda mu: f"mu {mu:g}")
+def test_a_throw_in_air_loses_energy_until_it_rests(
+    drag_per_m: float, spin_rad_s: float, height_m: float, mu: float, happened: Note
+) -> None:
+    """Against air drag from 1e-12 to 1000 per metre, at 10 000 rad/s and from 100 km, a die gains no energy and comes to rest."""
+    release = random_release(np.random.default_rng(2), CUBE, spin_rad_s=spin_rad_s, clearance_m=height_m)
+    result = throw_die(CUBE, release, CoulombImpact(0.5, mu), drag_per_m=drag_per_m)
+    energies = [energy_J(CUBE, state) for f in result.throw.flights for state in (f.start, f.at(f.end_s))]
+    gained = max(0.0, *(b - a for a, b in itertools.pairwise(energies))) / energies[0]
+    assert result.ending is Ending.RESTED
+    # Steps of contact with friction add some 1e-6 (`throw.held_contact`).
+    assert gained < (1e-5 if mu else 1e-12)
+    first = result.throw.impacts[0]
+    fallen = -result.throw.flights[0].at(first.time_s).velocity_m_s[2]
+    happened(f"on face {result.landed_face} after {result.impact_count} impacts, the first at {fallen:.3g} m/s")
+
+
+@pytest.mark.parametrize("drag_per_m", [-0.01, 1001.0, np.nan, np.inf], ids=lambda k: f"{k:g} per m")
+def test_a_drag_that_no_air_has_is_refused(drag_per_m: float, happened: Note) -> None:
+    """A drag below 0, above 1000 per metre, or not finite is refused."""
+    release = random_release(np.random.default_rng(2), CUBE)
+    with pytest.raises(ValueError, match="wanted 0 to 1000") as caught:
+        throw_die(CUBE, release, SmoothImpact(0.5), drag_per_m=drag_per_m)
+    happened(str(caught.value))
+
+
 @pytest.mark.parametrize("throws", [1, 2000], ids=lambda n: f"{n} throw" + "s" * (n > 1))
 def test_an_ensemble_of_any_size_lands_as_its_throws_do(throws: int, happened: Note) -> None:
     """An ensemble of 1 and of 2000 throws lands as the same throws one by one; the first five are compared."""

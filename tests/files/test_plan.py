@@ -37,6 +37,7 @@ impacts = 8
 
 MISTAKES = {
     "chi above 1": ("chi = 0.5", "chi = 1.5", ["law.chi = 1.5", "from 0 to 1"]),
+    "air that pushes": ("[until]", "[world]\ndrag_per_m = -0.1\n\n[until]", ["world.drag_per_m = -0.1", "0 to 1000"]),
     "friction that pushes": ("chi = 0.5", "chi = 0.5\nmu = -0.2", ["law.mu = -0.2", "0 or more"]),
     "below a table that stands high": (
         'surface = "wood"',
@@ -94,13 +95,18 @@ def test_the_table_of_a_throw_may_be_left_out(tmp_path: Path) -> None:
     assert (plan.chi, plan.until_impacts, plan.until_s, plan.fps) == (0.5, 8, None, 1500.0)
 
 
-def test_friction_and_an_oscillating_table_reach_the_model_only_where_they_are_given(
+def test_friction_air_and_an_oscillating_table_reach_the_model_only_where_they_are_given(
     tmp_path: Path,
 ) -> None:
     assert read_plan(plan_file(tmp_path)).law == SmoothImpact(0.5)
     assert read_plan(plan_file(tmp_path)).model_table == Table()
     rough = PLAN.replace("chi = 0.5", "chi = 0.5\nmu = 0.2")
     assert read_plan(plan_file(tmp_path, rough)).law == CoulombImpact(0.5, 0.2)
+    dragged = PLAN.replace("[until]", "[world]\ndrag_per_m = 0.03\n\n[until]")
+    assert (read_plan(plan_file(tmp_path)).drag_per_m, read_plan(plan_file(tmp_path, dragged)).drag_per_m) == (
+        0.0,
+        0.03,
+    )
     shaken = PLAN.replace('"wood"', '"wood"\nmotion = {amplitude_m = 0.001, frequency_hz = 25.0, phase_rad = 0.5}')
     assert read_plan(plan_file(tmp_path, shaken)).model_table == Table(
         amplitude_m=0.001, frequency_hz=25.0, phase_rad=0.5

@@ -118,8 +118,11 @@ def fly_in_air(
     pose: Array,
     moved: Array,
 ) -> None:
-    """`fly` against drag; the flow goes on from where the last call has left it."""
+    """`fly` against drag; the flow goes on from where the last call has left it, unless that was before the start, where the speed
+    may have grown beyond all bounds."""
     state, spin, flow = start
+    if flow[48] < 0.0:
+        start_flow(state, flow)
     integrate_flow(air.drag, plane, flow, dt - flow[48])
     copy_to(pose, state)
     advance(pose, spin, dt, plane)  # for its attitude

@@ -13,6 +13,7 @@ from .options import (
     Amplitude,
     AsJson,
     DieFile,
+    Drag,
     Edge,
     Force,
     Frequency,
@@ -248,6 +249,7 @@ def odds(
         typer.Option("--chi", help="Restitution, 0 to 1; repeat the option for a series each. [default: 0.5]"),
     ] = None,
     mu: Mu = None,
+    drag: Drag = 0.0,
     conditions: Annotated[
         Literal["paper", "uniform"],
         typer.Option(
@@ -291,6 +293,7 @@ def odds(
                 seed=seed,
                 after=after,
                 mu=mu,
+                drag_per_m=drag,
                 table=Table(amplitude_m=amplitude, frequency_hz=frequency, phase_rad=phase),
             )
         from ..commands.model.face_odds import odds as throw_often
@@ -344,6 +347,7 @@ def basins(
     mass: Mass = None,
     chi: Annotated[float, typer.Option("--chi", help="Restitution, 0 to 1.")] = 0.2,
     mu: Mu = None,
+    drag: Drag = 0.0,
     amplitude: Amplitude = 0.0,
     frequency: Frequency = 0.0,
     phase: Phase = 0.0,
@@ -378,6 +382,7 @@ def basins(
                 die_files=files,
                 chi=chi,
                 mu=mu,
+                drag_per_m=drag,
                 table=Table(amplitude_m=amplitude, frequency_hz=frequency, phase_rad=phase),
                 at_impact=at_impact,
                 predictability=predictability,

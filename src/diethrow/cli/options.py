@@ -117,6 +117,7 @@ Edge = Annotated[
 ]
 Mass = Annotated[float | None, typer.Option("--mass", metavar="KG", help="Mass of the die [kg]. [default: 0.016]")]
 Mu = Annotated[float | None, typer.Option("--mu", help="Coulomb friction coefficient. [default: smooth impact]")]
+Drag = Annotated[float, typer.Option("--drag", metavar="K", help="Air drag k of -k |v| v [1/m]; a light die has 0.03.")]
 Amplitude = Annotated[float, typer.Option("--amplitude", metavar="M", help="Amplitude of the table's oscillation [m].")]
 Frequency = Annotated[float, typer.Option("--frequency", metavar="HZ", help="Frequency of the oscillation [Hz].")]
 Phase = Annotated[float, typer.Option("--phase", metavar="RAD", help="Phase of the oscillation at release [rad].")]

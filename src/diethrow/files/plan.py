@@ -16,7 +16,7 @@ from pydantic import AfterValidator, Field
 
 from ..model.die import Die
 from ..model.errors import InputError
-from ..model.laws import CoulombImpact, SmoothImpact
+from ..model.laws import MAX_DRAG_PER_M, CoulombImpact, SmoothImpact, checked_drag
 from ..model.laws import Table as ModelTable
 from ..model.rotations import matrix_from_quat, quat_from_euler
 from ..model.throw import State, checked_release
@@ -65,6 +65,8 @@ class Plan:
     """Rows of simulated.csv a second."""
     mesh_path: Path | None = None
     """The file of the die's mesh."""
+    drag_per_m: float = 0.0
+    """k of the air drag, v' = g - k |v| v; 0 for a vacuum."""
 
     @property
     def inputs(self) -> tuple[Path, ...]:
@@ -110,6 +112,7 @@ def read_plan(path: Path) -> Plan:
         until.impacts,
         checked.output.fps,
         mesh,
+        checked.world.drag_per_m,
     )
     try:
         checked_release(die, release, plan.model_table)
@@ -151,6 +154,14 @@ class _UntilTable(TomlTable):
     impacts: PositiveInt | None = Field(None, description="a number of impacts, a whole number above 0")
 
 
+class _AirTable(WorldTable):
+    """`[world]` of a throw: a fit finds the drag by itself, a simulation has to be given it."""
+
+    drag_per_m: Annotated[float, AfterValidator(checked_drag)] = Field(
+        0.0, description=f"k of the air drag -k |v| v in 1/m, from 0 to {MAX_DRAG_PER_M:g}; a light die has 0.03"
+    )
+
+
 class _OutputTable(TomlTable):
     fps: Positive = Field(1500.0, description="rows of simulated.csv a second, a number above 0")
 
@@ -163,7 +174,10 @@ class _PlanFile(TomlTable):
     until: _UntilTable = Field(
         _UntilTable(time_s=None, impacts=None), description="an [until] table with time_s or impacts"
     )
-    world: WorldTable = Field(WorldTable(gravity_m_s2=GRAVITY_M_S2), description="a [world] table with gravity_m_s2")
+    world: _AirTable = Field(
+        _AirTable(gravity_m_s2=GRAVITY_M_S2, drag_per_m=0.0),
+        description="a [world] table with gravity_m_s2 or drag_per_m",
+    )
     output: _OutputTable = Field(_OutputTable(fps=1500.0), description="an [output] table with fps")
 
 

@@ -142,9 +142,18 @@ class Basins:
 
 
 def throw(
-    die: Die, law: ImpactLaw, release: State, *, table: Table = LEVEL, until: Until | None = None
+    die: Die,
+    law: ImpactLaw,
+    release: State,
+    *,
+    table: Table = LEVEL,
+    until: Until | None = None,
+    drag_per_m: float = 0.0,
 ) -> SimulatedThrow:
-    """Throw a die once. Raises ValueError for an impossible release, and for a die that no kernel follows with this law."""
+    """Throw a die once, against the drag -k |v| v of the air if `drag_per_m`, k [1/m], is given.
+
+    Raises ValueError for an impossible release, and for a die that no kernel follows with this law or against drag.
+    """
     quaternion = np.asarray(release.quaternion, float)
     start = State(
         float(release.time_s),
@@ -153,7 +162,7 @@ def throw(
         np.asarray(release.velocity_m_s, float),
         np.asarray(release.omega_rad_s, float),
     )
-    result = throw_die(die, start, law, until=until or Until(), table=table)
+    result = throw_die(die, start, law, until=until or Until(), table=table, drag_per_m=drag_per_m)
     return SimulatedThrow(die, result.throw, result.ending, result.landed_face)
 
 
@@ -164,13 +173,14 @@ def odds(
     throws: int = 100_000,
     releases: Conditions | None = None,
     table: Table = LEVEL,
+    drag_per_m: float = 0.0,
     seed: int = 1,
     threads: int = 1,
 ) -> Odds:
     """Throw a die many times and count the faces.
 
     `releases` is their distribution: without one any orientation, a height of 15 to 20 edges, at rest. The counts depend on
-    `seed` alone, not on `threads`. Raises ValueError for releases below the table.
+    `seed` alone, not on `threads`. Raises ValueError for releases below the table. `drag_per_m` as of `throw`.
 
     >>> import diethrow as dt
     >>> dt.odds(dt.make_die("cube", 0.016, 0.0048), dt.SmoothImpact(0.5), throws=1000).tally.rested
@@ -178,7 +188,7 @@ def odds(
     """
     edge_m = die.solid.edge_m
     drawn = releases or UniformConditions(0.0, (HEIGHT_EDGES[0] * edge_m, HEIGHT_EDGES[1] * edge_m))
-    setup = ThrowSetup(die, law, table)
+    setup = ThrowSetup(die, law, table, drag_per_m=drag_per_m)
     check_releases(setup, drawn)
     *_, tally = tally_throws(setup, drawn, throws, seed, threads=threads)
     return Odds(die, tally)
@@ -192,6 +202,7 @@ def basins(
     *,
     fixed: dict[str, float] | None = None,
     table: Table = LEVEL,
+    drag_per_m: float = 0.0,
     threads: int = 1,
 ) -> Basins:
     """Throw a die from every point of a plane of conditions; `fixed` holds the others (that of the paper's Fig. 6 by default).
@@ -200,7 +211,8 @@ def basins(
     window = Window(x, y, dict(FIG_6_CONDITIONS if fixed is None else fixed))
     shape = (y.pixels, x.pixels)
     face, impacts, ending = np.zeros(shape, np.uint16), np.zeros(shape, np.int32), np.zeros(shape, np.int8)
-    for low, high, landings in map_rows(ThrowSetup(die, law, table), window, threads=threads):
+    setup = ThrowSetup(die, law, table, drag_per_m=drag_per_m)
+    for low, high, landings in map_rows(setup, window, threads=threads):
         part = (high - low, x.pixels)
         face[low:high] = landings.face.reshape(part)
         impacts[low:high] = landings.impacts.reshape(part)

@@ -75,19 +75,20 @@ def test_every_door_accepts_what_the_table_says_and_refuses_the_rest(kind, actio
     die, law = die_of(kind, radius), LAWS[actions]
     start = release(die)
 
-    def single() -> None:
-        throw_die(die, start, law, until=Until(impacts=2), table=table)
+    def single(drag_per_m: float = 0.0) -> None:
+        throw_die(die, start, law, until=Until(impacts=2), table=table, drag_per_m=drag_per_m)
 
-    def ensemble() -> None:
+    def ensemble(drag_per_m: float = 0.0) -> None:
         if table is TABLES["level"]:
-            ThrowSetup(die, law, table).throw(packed_state(start)[None])
+            ThrowSetup(die, law, table, drag_per_m=drag_per_m).throw(packed_state(start)[None])
         else:
-            single()
+            single(drag_per_m)
 
     def derivatives(drag_per_m: float = 0.0) -> None:
         propagate(die, start, law, [0.02, 0.1], vertices=[0], table=table, drag_per_m=drag_per_m)
 
     doors = [(Door.THROW, actions, single), (Door.THROW, actions, ensemble), (Door.DERIVATIVES, actions, derivatives)]
+    doors += [(Door.THROW, actions | {Action.DRAG}, lambda call=call: call(0.05)) for call in (single, ensemble)]
     doors += [(Door.DERIVATIVES, actions | {Action.DRAG}, lambda: derivatives(0.05))]
     for door, wanted, call in doors:
         too_much = wanted - SUPPORTED[door][kind]

@@ -34,7 +34,7 @@ from ...model.ensembles import (
     uncertainty_exponent,
 )
 from ...model.errors import InputError
-from ...model.laws import LEVEL, Table
+from ...model.laws import LEVEL, Table, checked_drag
 from ...replay.figures import ball_measures, basin_map, colours_of, uncertain_shares
 from .face_odds import impact_law_of, share_table
 
@@ -73,6 +73,8 @@ class BasinsPlan:
     chi: float = 0.2
     mu: float | None = None
     table: Table = LEVEL
+    drag_per_m: float = 0.0
+    """k of the air drag; 0 for a vacuum."""
     at_impact: int | None = None
     """The map shows the lowest face at this impact; None for the landing face."""
     predictability: bool = False
@@ -91,6 +93,7 @@ class BasinsPlan:
             raise InputError(
                 f"conditions {self.conditions}, seed {self.seed}: wanted 1 or more, and a seed of 0 or more"
             )
+        checked_drag(self.drag_per_m)
         _ = (self.window, self.stage)  # both raise ValueError for impossible values
 
     @property
@@ -101,7 +104,7 @@ class BasinsPlan:
     @property
     def stage(self) -> ThrowSetup:
         """Die, law and table."""
-        return ThrowSetup(self.die, impact_law_of(self.chi, self.mu), self.table)
+        return ThrowSetup(self.die, impact_law_of(self.chi, self.mu), self.table, drag_per_m=self.drag_per_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,6 +248,7 @@ def basins_table(plan: BasinsPlan, mapped: BasinMap, measured: Predictability | 
         "die": die_record(plan.die),
         "chi": plan.chi,
         "mu": plan.mu,
+        "drag_per_m": plan.drag_per_m,
         "x": _axis_table(plan.x),
         "y": _axis_table(plan.y),
         "fixed": {name: value for name, value in plan.fixed.items() if name not in (plan.x.name, plan.y.name)},
@@ -315,6 +319,7 @@ def draw_map(path: Path, plan: BasinsPlan, mapped: BasinMap) -> None:
     faces = len(plan.stage.die.solid.faces)
     ax = basin_map(figure.add_subplot(), plan.x, plan.y, face, ending, faces)
     friction = "" if plan.mu is None else f", μ = {plan.mu:g}"
+    friction += f", air drag {plan.drag_per_m:g}/m" if plan.drag_per_m else ""
     at = "" if plan.at_impact is None else f", lowest face at impact {plan.at_impact}"
     ax.set_title(
         f"{plan.die.solid.name}, a = {1e3 * plan.die.solid.edge_m:g} mm, χ = {plan.chi:g}{friction}{at}", loc="left"

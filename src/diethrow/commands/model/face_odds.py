@@ -32,7 +32,7 @@ from ...model.ensembles import (
     tally_throws,
 )
 from ...model.errors import InputError
-from ...model.laws import LEVEL, CoulombImpact, ImpactLaw, SmoothImpact, Table
+from ...model.laws import LEVEL, CoulombImpact, ImpactLaw, SmoothImpact, Table, checked_drag
 from ...model.throw import Ending
 from ...replay.figures import face_odds, lowest_again
 
@@ -69,6 +69,8 @@ class OddsPlan:
     mu: float | None = None
     """Coulomb friction coefficient; None for the paper's smooth impact."""
     table: Table = LEVEL
+    drag_per_m: float = 0.0
+    """k of the air drag; 0 for a vacuum."""
 
     die_files: tuple[Path, ...] = ()
     """The files that describe the die, if any do."""
@@ -83,6 +85,7 @@ class OddsPlan:
                 f"throws {self.throws}, seed {self.seed}, after {self.after}: "
                 f"wanted 1 throw or more, a seed of 0 or more, and 0 to {MAX_AFTER} impacts"
             )
+        checked_drag(self.drag_per_m)
         for stage in self.stages:
             check_releases(stage, self.drawn)
 
@@ -98,7 +101,10 @@ class OddsPlan:
     @property
     def stages(self) -> tuple[ThrowSetup, ...]:
         """Die, law and table for each χ."""
-        return tuple(ThrowSetup(self.die, impact_law_of(chi, self.mu), self.table) for chi in self.chi)
+        return tuple(
+            ThrowSetup(self.die, impact_law_of(chi, self.mu), self.table, drag_per_m=self.drag_per_m)
+            for chi in self.chi
+        )
 
 
 def impact_law_of(chi: float, mu: float | None) -> ImpactLaw:
@@ -151,7 +157,10 @@ def odds_table(plan: OddsPlan, tallies: tuple[Tally, ...]) -> dict[str, Any]:
     return {
         "die": die_record(plan.die),
         "level": LEVEL_OF_INTERVALS,
-        "series": [{"chi": chi, "mu": plan.mu, **_series(tally)} for chi, tally in zip(plan.chi, tallies, strict=True)],
+        "series": [
+            {"chi": chi, "mu": plan.mu, "drag_per_m": plan.drag_per_m, **_series(tally)}
+            for chi, tally in zip(plan.chi, tallies, strict=True)
+        ],
         "messages": [sentence for tally in tallies for sentence in _messages(tally)],
     }
 
@@ -198,6 +207,7 @@ def draw_odds(path: Path, plan: OddsPlan, tallies: tuple[Tally, ...]) -> None:
 def _title(figure: Figure, plan: OddsPlan) -> None:
     spin = rf"$\omega_\eta$ = {plan.omega_rad_s:g}" if plan.conditions == "paper" else f"spin {plan.omega_rad_s:g}"
     friction = "" if plan.mu is None else f", μ = {plan.mu:g}"
+    friction += f", air drag {plan.drag_per_m:g}/m" if plan.drag_per_m else ""
     figure.suptitle(f"{plan.die.solid.name}, {plan.throws:,} throws for each χ, {spin} rad/s{friction}; bars: 95 %")
 
 

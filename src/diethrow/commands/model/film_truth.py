@@ -121,6 +121,7 @@ chi = {law.chi!r}
 mu = {getattr(law, "mu", 0.0)!r}
 friction_model = "{friction}"
 contact = "{contact}"
+drag_per_m = {getattr(throw.flights[0], "drag_per_m", 0.0)!r}
 c0 = {release.position_m.tolist()}
 v0 = {release.velocity_m_s.tolist()}
 q0_wxyz_body_to_world = {release.quaternion.tolist()}

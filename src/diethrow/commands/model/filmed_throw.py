@@ -289,6 +289,7 @@ def second_throw(plan: Plan, throw: Throw, camera: Camera, times_s: Array) -> Th
                 plan.law,
                 until=Until(time_s=float(times_s[-1]) + AFTER_LANDING_S),
                 table=plan.model_table,
+                drag_per_m=plan.drag_per_m,
             ).throw
             there = other.poses(times_s)[0]
             if np.linalg.norm(there - positions, axis=1).min() > APART_RADII * size:
@@ -310,11 +311,13 @@ def _throw_on_film(plan: Plan, fps: float, settings: FilmSettings) -> tuple[Thro
     until = Until(time_s=until_s, impacts=plan.until_impacts)
     if frames is not None:
         until = Until(time_s=frames / fps)
-    throw = throw_die(plan.die, release, plan.law, until=until, table=plan.model_table).throw
+    table, drag_per_m = plan.model_table, plan.drag_per_m
+    throw = throw_die(plan.die, release, plan.law, until=until, table=table, drag_per_m=drag_per_m).throw
     end_s = throw.flights[-1].end_s
     if until == Until():
         end_s += AFTER_LANDING_S
-        throw = throw_die(plan.die, release, plan.law, until=Until(time_s=end_s), table=plan.model_table).throw
+        until = Until(time_s=end_s)
+        throw = throw_die(plan.die, release, plan.law, until=until, table=table, drag_per_m=drag_per_m).throw
     count = frames or int(np.floor(end_s * fps + 1e-9)) + 1
     if count > MAX_FRAMES:
         wanted = f"the throw lasts {end_s:.3g} s, {count} frames; wanted at most {MAX_FRAMES}, set until.time_s"
@@ -326,7 +329,14 @@ def _release_at(plan: Plan, start_s: float) -> State:
     """The state at the beginning of the film, as a release at time 0. Raises ValueError after the first impact."""
     if start_s == 0.0:
         return plan.release
-    first = throw_die(plan.die, plan.release, plan.law, until=Until(impacts=1), table=plan.model_table).throw
+    first = throw_die(
+        plan.die,
+        plan.release,
+        plan.law,
+        until=Until(impacts=1),
+        table=plan.model_table,
+        drag_per_m=plan.drag_per_m,
+    ).throw
     impact_s = first.impacts[0].time_s if first.impacts else first.flights[0].end_s
     if start_s >= impact_s:
         raise InputError(f"start_s = {start_s}: wanted a time before the first impact at {impact_s:.5g} s")

@@ -39,7 +39,9 @@ def throw(
     with whole_folder(out, force=force, inputs=plan.inputs) as folder:
         with watch.stage("throw"):
             until = Until(time_s=plan.until_s, impacts=plan.until_impacts)
-            result = throw_die(plan.die, plan.release, plan.law, until=until, table=plan.model_table)
+            result = throw_die(
+                plan.die, plan.release, plan.law, until=until, table=plan.model_table, drag_per_m=plan.drag_per_m
+            )
         with watch.stage("records"):
             write_vertices(folder / "vertices.csv", plan.die.solid)
             write_bounces(folder / "bounces.csv", result.throw.bounces)
@@ -67,6 +69,7 @@ def throw(
 UNDECIDED = "Whether this throw is decidable in double precision is unknown"
 STOPPED_BEFORE = "the simulation stopped before its end"
 OF_ONE_MOMENT = "it is computed for dice with one moment of inertia about their centroid"
+IN_VACUUM = "it is computed for throws in vacuum"
 
 
 def rows_of(plan: Plan, result: ThrowResult) -> Track:
@@ -92,9 +95,10 @@ def throw_table(plan: Plan, result: ThrowResult) -> dict[str, Any]:
         messages.append("Landing face unknown: the die is not at rest on a face when the throw ends.")
     ended = result.landed_face is not None or result.ending not in _STOPPED
     is_centred = body_kind(plan.die) is BodyKind.CENTRED
+    unknown = OF_ONE_MOMENT if not is_centred else IN_VACUUM if plan.drag_per_m else None if ended else STOPPED_BEFORE
     setup = ThrowSetup(plan.die, plan.law, plan.model_table)
-    check = decidable_in_double_precision(setup, plan.release) if ended and is_centred else None
-    messages.append(check.sentence if check else f"{UNDECIDED}: {STOPPED_BEFORE if is_centred else OF_ONE_MOMENT}.")
+    check = decidable_in_double_precision(setup, plan.release) if unknown is None else None
+    messages.append(check.sentence if check else f"{UNDECIDED}: {unknown}.")
     return {
         "landed_face": result.landed_face,
         "ending": result.ending.name.lower(),
