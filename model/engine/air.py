@@ -497,8 +497,14 @@ def slide_on_face(state: Array, plane: Plane | PlaneInAir, time: float, dt: floa
 @overload(slide_on_face, strict=False)
 def _slide_on_face_of(state: Any, plane: Any, time: Any, dt: Any) -> Any:
     """The branch of `slide_on_face` that the type of the plane asks for, chosen when it is compiled."""
-    chosen = carry_on_face_in_air if plane.instance_class is PlaneInAir else carry_on_face
-    return chosen.py_func
+
+    def in_air(state: Any, plane: Any, time: Any, dt: Any) -> None:
+        carry_on_face_in_air(state, plane, time, dt)
+
+    def in_vacuum(state: Any, plane: Any, time: Any, dt: Any) -> None:
+        carry_on_face(state, plane, time, dt)
+
+    return in_air if plane.instance_class is PlaneInAir else in_vacuum
 
 
 @inner

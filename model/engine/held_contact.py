@@ -218,9 +218,16 @@ def contact_step(contact: Contact, state: Array, time: float, dt: float, room: A
 
 @overload(contact_step, strict=False)
 def _contact_step_of(contact: Any, state: Any, time: Any, dt: Any, room: Any, after: Any) -> Any:
-    """The branch of `contact_step` that the type of the plane asks for, chosen when it is compiled."""
-    chosen = held_step_in_air if contact[1].instance_class is PlaneInAir else held_step
-    return chosen.py_func
+    """The branch of `contact_step` that the type of the plane asks for, chosen when it is compiled. Python calls the same
+    kernels, so that each is compiled once."""
+
+    def in_air(contact: Any, state: Any, time: Any, dt: Any, room: Any, after: Any) -> None:
+        held_step_in_air(contact, state, time, dt, room, after)
+
+    def in_vacuum(contact: Any, state: Any, time: Any, dt: Any, room: Any, after: Any) -> None:
+        held_step(contact, state, time, dt, room, after)
+
+    return in_air if contact[1].instance_class is PlaneInAir else in_vacuum
 
 
 @inner

@@ -118,8 +118,8 @@ def fly_in_air(
     pose: Array,
     moved: Array,
 ) -> None:
-    """`fly` against drag; the flow goes on from where the last call has left it, unless that was before the start, where the speed
-    may have grown beyond all bounds."""
+    """`fly` against drag; the flow goes on from where the last call has left it, unless that was before the start, where the
+    speed may have grown beyond all bounds."""
     state, spin, flow = start
     if flow[48] < 0.0:
         start_flow(state, flow)
