@@ -9,7 +9,8 @@ reversal do not lie on a motion with the fall of g, as those of the die do."""
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
+from bisect import bisect_right
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,11 +59,11 @@ FLIGHT_CHI2 = 8.0
 GOOD_CHI2 = 4.0
 """Reduced chi-square below which motions are equally good, and the pictures decide."""
 DECISIVE_CHI2_RATIO = 0.1
-"""Chi-square of the reversal of more than SHORT_RUN frames over that of the poses, below which pictures no longer count. Those of
-a dark die with bright pips, whose edges hardly show, prefer the reversal by 2, and its chi-square is a hundred times larger."""
+"""Chi-square of the reversal of more than SHORT_RUN frames over that of the poses, below which pictures no longer count: those of
+a dark die whose edges hardly show may prefer the wrong one. Its chi-square was 25 times that of the true poses there."""
 JUMP_RAD = 0.35
-"""Rotation [rad] between neighbouring frames, beyond that by their spins, at which one of them is taken for a reversal: an impact
-changes the spin, and turns a die by less within half a frame."""
+"""Rotation [rad] between neighbouring frames, beyond that by their spins, at which one of them is taken for a reversal. An impact
+that changes the spin by 350 rad/s turns a die by as much within half a frame at 500 frames/s; a false jump costs time alone."""
 MIN_COVERAGE = 0.9
 """Share of the frames of a run over which the reversal must be tracked."""
 MAX_TRIALS = 3
@@ -96,8 +97,6 @@ class _ReversedRun:
     poses: ClipPoses
     """Tracked from one of its frames; of the run and some frames beside it."""
     run: slice
-    piece: int
-    """The piece in which it lies, by its index."""
     chi2: float
     """Reduced chi-square of the clip's motion about the run with the reversal; -inf if the pictures decide."""
     gain: float
@@ -111,15 +110,15 @@ def _corrected_once(view: View, source: FrameSource, poses: ClipPoses, unused: M
     would be reversed as a whole, and still turn evenly."""
     ends = _piece_ends(view, poses, source.times_s)
     pieces = list(itertools.pairwise(ends))
-    sampled = _sampled_rows(poses, _costly(poses), pieces)
     found: list[_ReversedRun] = []
-    for piece, (limits, rows) in enumerate(zip(pieces, sampled, strict=True)):
-        found += _better_runs(view, source, poses, unused, (piece, *limits), rows, has_jumps=len(pieces) > 1)
+    for piece, rows in zip(pieces, _sampled_rows(poses, pieces), strict=True):
+        found += _better_runs(view, source, poses, unused, piece, rows, has_jumps=len(pieces) > 1)
     found.sort(key=lambda one: (max(one.chi2, GOOD_CHI2), -one.gain))
     reversed_pieces: set[int] = set()
     for one in found:
-        if not reversed_pieces & {one.piece - 1, one.piece + 1}:
-            reversed_pieces.add(one.piece)
+        piece = bisect_right(ends, one.run.start)
+        if not reversed_pieces & {piece - 1, piece + 1}:
+            reversed_pieces.add(piece)
             poses = _merged(view, poses, one.poses, one.run, source.times_s)
     return poses
 
@@ -136,11 +135,11 @@ def _piece_ends(view: View, poses: ClipPoses, times_s: Array) -> list[int]:
     return [0, *known[1:][jump_rad > JUMP_RAD].tolist(), len(poses.known)]
 
 
-def _sampled_rows(poses: ClipPoses, costly: Mask, pieces: list[tuple[int, int]]) -> list[NDArray[np.int64]]:
+def _sampled_rows(poses: ClipPoses, pieces: list[tuple[int, int]]) -> list[NDArray[np.int64]]:
     """For each piece the rows that are tested: some spread over the clip, some of those that are costly, and where there are
     several pieces some of each."""
     known = np.flatnonzero(poses.known)
-    rows = np.union1d(_spread(known, SAMPLED_FRAMES), _spread(np.flatnonzero(costly), SAMPLED_FRAMES))
+    rows = np.union1d(_spread(known, SAMPLED_FRAMES), _spread(np.flatnonzero(_costly(poses)), SAMPLED_FRAMES))
     if len(pieces) > 1:
         each = [_spread(known[(known >= begin) & (known < end)], SAMPLED_OF_PIECE) for begin, end in pieces]
         rows = np.union1d(rows, np.concatenate(each))
@@ -152,15 +151,15 @@ def _better_runs(
     source: FrameSource,
     poses: ClipPoses,
     unused: Mask,
-    piece: tuple[int, int, int],
+    piece: tuple[int, int],
     rows: NDArray[np.int64],
     *,
     has_jumps: bool,
 ) -> list[_ReversedRun]:
-    """The runs of one piece, given by its index, its first row and the row behind it, whose reversal is better, tested on some
-    `rows` of it."""
-    index, begin, end = piece
-    chi2 = _reduced_chi2(as_track(view, source, poses), rows, (begin, end))
+    """The runs of one piece, given by its first row and the row behind it, whose reversal is better, tested on some `rows` of
+    it."""
+    begin, end = piece
+    chi2 = _reduced_chi2(as_track(view, source, poses), rows, piece)
     # Poses that jump are those of no flight: then their reversals are tested whatever the pictures say.
     most = np.where(has_jumps & (chi2 > FLIGHT_CHI2), np.inf, REVERSAL_MISFIT)
     suspicious = _costly(poses)[rows] | (chi2 > SUSPICIOUS_CHI2) | has_jumps
@@ -175,7 +174,7 @@ def _better_runs(
         own = zip(rows[first:stop].tolist(), reversals[first:stop], strict=True)
         starts = [(k, pose) for k, pose in own if pose is not None]
         best = _best_reversed_run(view, source, poses, unused, limits, starts)
-        found += [] if best is None else [replace(best, piece=index)]
+        found += [] if best is None else [best]
     return found
 
 
@@ -204,7 +203,7 @@ def _best_reversed_run(
             if gain < -REVERSAL_MISFIT and not is_decisive:
                 continue
         if ratio < least:
-            least, best = ratio, _ReversedRun(other, run, 0, chi2, gain)
+            least, best = ratio, _ReversedRun(other, run, chi2, gain)
     return best
 
 

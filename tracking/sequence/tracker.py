@@ -172,7 +172,8 @@ def track_clip(
         poses, throw = _measured(view, source, poses)
         if throw is not None and quality.marks and len(clips) == 1:
             before, poses = poses, with_labels_of_marks(view, source, poses, throw)
-            poses, throw = (poses, throw) if poses is before else _measured(view, source, poses)
+            if poses is not before:
+                poses, throw = _measured(view, source, poses)
     if quality.second_pass:
         view, offsets, result = _refined(view, source, poses, throw, ~unused, report)
     else:

@@ -227,7 +227,7 @@ def test_impacts_within_a_few_frames_are_resolved_correctly_or_left_unresolved(r
 
 @pytest.mark.parametrize("relabel", [0, 5, 9])
 def test_frames_are_labelled_as_the_flights_are(relabel: int) -> None:
-    """Behind contacts that are told apart by the model, the flights follow it, and so do the frames: one labelling of the corners
+    """Behind contacts that the model distinguishes, the flights follow it, and so do the frames: one labelling of the corners
     holds for the whole throw."""
     throw, track = relabelled_cluster(relabel)
     found = measure(track, TETRA)
