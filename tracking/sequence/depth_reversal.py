@@ -116,9 +116,9 @@ def _corrected_once(view: View, source: FrameSource, poses: ClipPoses, unused: M
     found.sort(key=lambda one: (max(one.chi2, GOOD_CHI2), -one.gain))
     reversed_pieces: set[int] = set()
     for one in found:
-        piece = bisect_right(ends, one.run.start)
-        if not reversed_pieces & {piece - 1, piece + 1}:
-            reversed_pieces.add(piece)
+        number = bisect_right(ends, one.run.start)
+        if not reversed_pieces & {number - 1, number + 1}:
+            reversed_pieces.add(number)
             poses = _merged(view, poses, one.poses, one.run, source.times_s)
     return poses
 
