@@ -173,12 +173,15 @@ def find_initial_pose(
 
     Frames that are `unused` (n,) are skipped, and the tracker skips them as well; `report` is called with each frame examined. If
     no hypothesis is accepted with the lens blur of the view, the search is repeated with a smaller one; and on the first frame if
-    others are accepted only because they agree. If none is accepted then, the likeliest is returned."""
+    that is not certain, whatever later ones are. If none is accepted then, the likeliest is returned."""
     sharper = replace(view, blur_px=SHARPER * view.blur_px)
     found, uncertain = _search(view, source, unused, report)
-    if found is not None and not found[1].is_certain:
-        first = best_hypothesis(sharper, source, uncertain[0][0], unused)
-        found = (uncertain[0][0], first) if first is not None and first.is_certain else found
+    if found is not None and uncertain:
+        # With a blur too large wrong hypotheses may be certain sooner than right ones, by the last bit of a sum.
+        k, blurred = uncertain[0]
+        sharp = best_hypothesis(sharper, source, k, unused)
+        if sharp is not None and sharp.is_certain and sharp.score.misfit < blurred.score.misfit:
+            found = k, sharp
     if found is None:
         found, others = _search(sharper, source, unused, report)
         uncertain += others
