@@ -48,8 +48,8 @@ COSTLY_MISFIT = 0.3
 """Misfit above the usual of the clip from which a frame is compared with its reversal."""
 CLEAR_MISFIT = 0.5
 """Misfit by which the reversal must be better to be accepted although its motion is no better: of SHORT_RUN frames or fewer
-whatever the motion is, of more unless it is worse. Where a die passes a view in which near and far draw the same, it may be
-followed as its reversal from there on. Of a tetrahedron above its shadow the reversal was better by 0.3."""
+unless it tears a flight apart, of more unless it is worse. Where a die passes a view in which near and far draw the same, it may
+be followed as its reversal from there on. Of a tetrahedron above its shadow the reversal was better by 0.3."""
 SHORT_RUN = 12
 """Frames whose motion hardly shows the fall: over more of them it decides."""
 MAX_CHI2_RATIO = 0.5
@@ -203,8 +203,10 @@ def _best_reversed_run(
         run = _followed(poses, other, rows, k)
         gain, is_short = _gain(poses, other, run), run.stop - run.start <= SHORT_RUN
         is_clear = _is_clearly_better(poses, other, run)
-        motion = _ANY_MOTION if is_clear and is_short else _compared(view, source, poses, other, run)
-        if (is_clear and motion.ratio <= 1.0) or _is_better(gain, motion, is_short=is_short):
+        motion = _compared(view, source, poses, other, run)
+        if is_clear and (motion.ratio <= 1.0 or (is_short and not motion.is_torn)):
+            found.append(_ReversedRun(other, run, -np.inf, gain))
+        elif _is_better(gain, motion, is_short=is_short):
             found.append(_ReversedRun(other, run, motion.chi2, gain))
     return min(found, key=lambda one: one.rank, default=None)
 
@@ -283,21 +285,19 @@ class _Comparison:
     """Whether with the reversal in it the clip about the run is no motion of a die, and is one with the poses."""
 
 
-_ANY_MOTION = _Comparison(-np.inf, -np.inf, False)
-_NO_MOTION = _Comparison(np.inf, np.inf, False)
-
-
 def _compared(view: View, source: FrameSource, poses: ClipPoses, other: ClipPoses, run: slice) -> _Comparison:
     """The motion of other poses beside that of the poses, over a run. The median over windows counts."""
     both = poses.known & other.known
-    covered = both[run].sum() >= MIN_COVERAGE * poses.known[run].sum()
-    if not covered or both.sum() < MOTION_FRAMES:
-        return _NO_MOTION
+    if both[run].sum() < MIN_COVERAGE * poses.known[run].sum():
+        return _Comparison(np.inf, np.inf, is_torn=False)
     merged = _merged(view, poses, other, run, source.times_s)
     about = max(run.start - WINDOW // 2, 0), min(run.stop + WINDOW // 2, len(both))
     shown = poses.known & merged.known & wholly_in_view(view, merged)
-    alone = _median_chi2(view, source, (poses, other), both, (0, len(both)))
     beside = _median_chi2(view, source, (poses, merged), shown, about)
+    is_torn = beside[0] < FLIGHT_CHI2 <= beside[1]
+    if both.sum() < MOTION_FRAMES:
+        return _Comparison(np.inf, np.inf, is_torn)
+    alone = _median_chi2(view, source, (poses, other), both, (0, len(both)))
     flying = [
         (after / before, after) for before, after in (alone, beside) if 0.0 < after < FLIGHT_CHI2 and before > 0.0
     ]
@@ -305,7 +305,7 @@ def _compared(view: View, source: FrameSource, poses: ClipPoses, other: ClipPose
         before, after = _median_chi2(view, source, (poses, other), both, (run.start, run.stop))
         flying = [(1.0, after)] if after <= before else []
     ratio, chi2 = min(flying, default=(np.inf, np.inf))
-    return _Comparison(ratio, chi2, is_torn=beside[0] < FLIGHT_CHI2 <= beside[1])
+    return _Comparison(ratio, chi2, is_torn)
 
 
 def _median_chi2(
