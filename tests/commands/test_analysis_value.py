@@ -252,6 +252,14 @@ def test_a_throw_is_that_of_the_model() -> None:
     assert "<SimulatedThrow of a cube" in repr(one)
 
 
+@pytest.mark.parametrize("lasts_s", [0.0, 1e-5, 4e-4, 0.1])
+def test_a_throw_plays_however_short_it_is(lasts_s: float) -> None:
+    release = replace(RELEASE, time_s=0.00037)
+    one = dt.throw(CUBE, dt.SmoothImpact(0.5), release, until=dt.Until(time_s=0.00037 + lasts_s))
+    assert ("<canvas" in one._repr_html_()) == (lasts_s > 0.0)
+
+
+
 def test_throws_odds_and_basins_take_air_drag() -> None:
     law, unit = dt.SmoothImpact(0.5), RELEASE.quaternion / np.linalg.norm(RELEASE.quaternion)
     one = dt.throw(CUBE, law, RELEASE, drag_per_m=0.5)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
 
 PLAYED_HZ = 1000.0
 """Poses per second of a throw that plays in a notebook."""
+LEAST_PLAYED = 10.0
+"""Poses of one that lasts less than as many milliseconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,11 +80,14 @@ class SimulatedThrow:
         return throw_heights(_axes(ax), self.die.solid, self.throw)
 
     def _repr_html_(self) -> str:
-        """The throw, to be played in a notebook."""
+        """The throw, to be played in a notebook; its summary if it lasts no time."""
         from ..replay.elements import motion_of, track_of
         from ..replay.player import player_alone
 
-        motion = motion_of("simulated", track_of(self.throw, PLAYED_HZ), self.throw)
+        lasts_s = self.throw.flights[-1].end_s - self.throw.flights[0].start.time_s
+        if lasts_s <= 0.0:
+            return escape(repr(self))
+        motion = motion_of("simulated", track_of(self.throw, max(PLAYED_HZ, LEAST_PLAYED / lasts_s)), self.throw)
         return player_alone(self.die.solid, [motion], self.throw.bounces)
 
     def __repr__(self) -> str:
