@@ -259,7 +259,6 @@ def test_a_throw_plays_however_short_it_is(lasts_s: float) -> None:
     assert ("<canvas" in one._repr_html_()) == (lasts_s > 0.0)
 
 
-
 def test_throws_odds_and_basins_take_air_drag() -> None:
     law, unit = dt.SmoothImpact(0.5), RELEASE.quaternion / np.linalg.norm(RELEASE.quaternion)
     one = dt.throw(CUBE, law, RELEASE, drag_per_m=0.5)
