@@ -42,14 +42,13 @@ SUSPICIOUS_CHI2 = 1.5
 WINDOW = 24
 """Frames of one motion."""
 REVERSAL_MISFIT = 0.15
-"""Misfit by which the pose of a reversal may be worse: where a die shows one face, single frames hardly distinguish the two. And
-by which it must be better on the mean of a flight whose motion shows as little."""
+"""Misfit by which the pose of a reversal may be worse: where a die shows one face, single frames hardly distinguish the two."""
 COSTLY_MISFIT = 0.3
 """Misfit above the usual of the clip from which a frame is compared with its reversal."""
 CLEAR_MISFIT = 0.5
-"""Misfit by which the reversal must be better to be accepted although its motion is no better: of SHORT_RUN frames or fewer
-unless it tears a flight apart, of more unless it is worse. Where a die passes a view in which near and far draw the same, it may
-be followed as its reversal from there on. Of a tetrahedron above its shadow the reversal was better by 0.3."""
+"""Misfit by which the reversal of SHORT_RUN frames or fewer must be better to be accepted whatever its motion is. Where a die
+passes a view in which near and far draw the same, it may be followed as its reversal from there on. Of a tetrahedron above its
+shadow the reversal was better by 0.3."""
 SHORT_RUN = 12
 """Frames whose motion hardly shows the fall: over more of them it decides."""
 MAX_CHI2_RATIO = 0.5
@@ -58,8 +57,7 @@ has a large chi-square in either pose."""
 FLIGHT_CHI2 = 8.0
 """Reduced chi-square above which poses are those of no die in flight."""
 GOOD_CHI2 = 4.0
-"""Reduced chi-square below which motions are equally good, and the pictures decide: of more than SHORT_RUN frames those of the
-reversal must be better by REVERSAL_MISFIT."""
+"""Reduced chi-square below which motions are equally good, and the pictures decide."""
 DECISIVE_CHI2_RATIO = 0.1
 """Chi-square of the reversal of more than SHORT_RUN frames over that of the poses, below which pictures no longer count: those of
 a dark die whose edges hardly show may prefer the wrong one. Its chi-square was 25 times that of the true poses there."""
@@ -104,11 +102,6 @@ class _ReversedRun:
     gain: float
     """Misfit of the pictures by which it is better; negative if it is worse."""
 
-    @property
-    def rank(self) -> tuple[float, float]:
-        """What the best has the least of: the chi-square, and of equally good motions the misfit."""
-        return max(self.chi2, GOOD_CHI2), -self.gain
-
 
 def _corrected_once(view: View, source: FrameSource, poses: ClipPoses, unused: Mask) -> ClipPoses:
     """One round; the same poses if no run was replaced.
@@ -120,7 +113,7 @@ def _corrected_once(view: View, source: FrameSource, poses: ClipPoses, unused: M
     found: list[_ReversedRun] = []
     for piece, rows in zip(pieces, _sampled_rows(poses, pieces), strict=True):
         found += _better_runs(view, source, poses, unused, piece, rows, has_jumps=len(pieces) > 1)
-    found.sort(key=lambda one: one.rank)
+    found.sort(key=lambda one: (max(one.chi2, GOOD_CHI2), -one.gain))
     reversed_pieces: set[int] = set()
     for one in found:
         number = bisect_right(ends, one.run.start)
@@ -196,30 +189,22 @@ def _best_reversed_run(
     """The best reversal within a range of rows, tracked from some of the reversals on single rows; None if none is better than
     the poses."""
     rows = slice(starts[0][0], starts[-1][0] + 1)
-    found: list[_ReversedRun] = []
+    least, best = MAX_CHI2_RATIO, None
     for i in np.unique(np.linspace(0, len(starts) - 1, min(MAX_TRIALS, len(starts))).astype(int)):
         k, pose = starts[i]
         other = _tracked_from(view, source, pose, _reversed_rates(view, poses, k), k, limits, unused)
         run = _followed(poses, other, rows, k)
-        gain, is_short = _gain(poses, other, run), run.stop - run.start <= SHORT_RUN
-        is_clear = _is_clearly_better(poses, other, run)
-        motion = _compared(view, source, poses, other, run)
-        if is_clear and (motion.ratio <= 1.0 or (is_short and not motion.is_torn)):
-            found.append(_ReversedRun(other, run, -np.inf, gain))
-        elif _is_better(gain, motion, is_short=is_short):
-            found.append(_ReversedRun(other, run, motion.chi2, gain))
-    return min(found, key=lambda one: one.rank, default=None)
-
-
-def _is_better(gain: float, motion: _Comparison, *, is_short: bool) -> bool:
-    """Whether a reversal is better whose misfit is less by a gain and whose motion compares like this."""
-    if motion.ratio < MAX_CHI2_RATIO and gain > -REVERSAL_MISFIT:
-        return True
-    if is_short:
-        return False
-    # Far from the camera the reversal of a whole flight moves as well as the die does, and the pictures alone distinguish them.
-    are_both_good = max(motion.chi2, motion.chi2 / motion.ratio) < GOOD_CHI2 and not motion.is_torn
-    return motion.ratio < DECISIVE_CHI2_RATIO or (are_both_good and gain > REVERSAL_MISFIT)
+        gain = _gain(poses, other, run)
+        if _is_clearly_better(poses, other, run):
+            ratio, chi2 = -np.inf, -np.inf
+        else:
+            ratio, chi2 = _chi2_ratio(view, source, poses, other, run)
+            is_decisive = ratio < DECISIVE_CHI2_RATIO and run.stop - run.start > SHORT_RUN
+            if gain < -REVERSAL_MISFIT and not is_decisive:
+                continue
+        if ratio < least:
+            least, best = ratio, _ReversedRun(other, run, chi2, gain)
+    return best
 
 
 def _followed(poses: ClipPoses, other: ClipPoses, run: slice, k: int) -> slice:
@@ -249,11 +234,12 @@ def _gain(poses: ClipPoses, other: ClipPoses, run: slice) -> float:
 
 
 def _is_clearly_better(poses: ClipPoses, other: ClipPoses, run: slice) -> bool:
-    """Whether other poses are those of nearly all frames of a run and explain their pictures clearly better."""
+    """Whether other poses are those of nearly all frames of a short run and explain their pictures clearly better: its motion
+    then need not tell, which a few frames behind an impact hardly show."""
     both = np.flatnonzero((poses.known & other.known)[run]) + run.start
     covered = len(both) >= max(MIN_COVERAGE * poses.known[run].sum(), MIN_IN_A_ROW)
     gain = poses.cost_with_edge_noise[both] - other.cost_with_edge_noise[both]
-    return bool(covered and float(np.median(gain)) > CLEAR_MISFIT)
+    return bool(covered and run.stop - run.start <= SHORT_RUN and float(np.median(gain)) > CLEAR_MISFIT)
 
 
 def _runs(has_reversal: Mask) -> list[tuple[int, int]]:
@@ -271,50 +257,30 @@ def _runs(has_reversal: Mask) -> list[tuple[int, int]]:
     return [run for run, frames in zip(runs, longest, strict=True) if frames >= MIN_IN_A_ROW]
 
 
-@dataclass(frozen=True)
-class _Comparison:
-    """The motion of a reversal beside that of the poses."""
+def _chi2_ratio(view: View, source: FrameSource, poses: ClipPoses, other: ClipPoses, run: slice) -> tuple[float, float]:
+    """Chi-square of other poses over that of the poses, and the former, on the frames of a run that both have, or on the clip
+    about the run with one or the other in it; whichever is less.
 
-    ratio: float
-    """Chi-square of the reversal over that of the poses, on the frames of the run that both have, or on the clip about the run
-    with one or the other in it; whichever is less. 1 where neither are those of a die in flight, as with an impact in most
-    windows, and the run by itself does not speak for the poses. Infinite if the reversal is none, or misses frames of the run."""
-    chi2: float
-    """Reduced chi-square of the reversal there."""
-    is_torn: bool
-    """Whether with the reversal in it the clip about the run is no motion of a die, and is one with the poses."""
-
-
-def _compared(view: View, source: FrameSource, poses: ClipPoses, other: ClipPoses, run: slice) -> _Comparison:
-    """The motion of other poses beside that of the poses, over a run. The median over windows counts."""
+    Infinite if the others are not those of a die in flight either, or miss frames of the run. The median over windows counts:
+    those with an impact fit neither."""
     both = poses.known & other.known
-    if both[run].sum() < MIN_COVERAGE * poses.known[run].sum():
-        return _Comparison(np.inf, np.inf, is_torn=False)
+    covered = both[run].sum() >= MIN_COVERAGE * poses.known[run].sum()
+    if not covered or both.sum() < MOTION_FRAMES:
+        return np.inf, np.inf
     merged = _merged(view, poses, other, run, source.times_s)
-    about = max(run.start - WINDOW // 2, 0), min(run.stop + WINDOW // 2, len(both))
-    shown = poses.known & merged.known & wholly_in_view(view, merged)
-    beside = _median_chi2(view, source, (poses, merged), shown, about)
-    is_torn = beside[0] < FLIGHT_CHI2 <= beside[1]
-    if both.sum() < MOTION_FRAMES:
-        return _Comparison(np.inf, np.inf, is_torn)
-    alone = _median_chi2(view, source, (poses, other), both, (0, len(both)))
-    flying = [
-        (after / before, after) for before, after in (alone, beside) if 0.0 < after < FLIGHT_CHI2 and before > 0.0
-    ]
-    if not flying and min(*alone, *beside) >= FLIGHT_CHI2:
-        before, after = _median_chi2(view, source, (poses, other), both, (run.start, run.stop))
-        flying = [(1.0, after)] if after <= before else []
-    ratio, chi2 = min(flying, default=(np.inf, np.inf))
-    return _Comparison(ratio, chi2, is_torn)
-
-
-def _median_chi2(
-    view: View, source: FrameSource, both: tuple[ClipPoses, ClipPoses], shown: Mask, within: tuple[int, int]
-) -> tuple[float, float]:
-    """Median reduced chi-square of windows of the shown frames within a range, for each of two sets of poses."""
-    rows = np.flatnonzero(shown[within[0] : within[1]])[:: WINDOW // 2] + within[0]
-    first, second = (float(np.median(_reduced_chi2(as_track(view, source, one, shown), rows, within))) for one in both)
-    return first, second
+    begin, end = max(run.start - WINDOW // 2, 0), min(run.stop + WINDOW // 2, len(both))
+    found = [(np.inf, np.inf)]
+    for ours, theirs, shown, within in (
+        (poses, other, both, (0, len(both))),
+        (poses, merged, poses.known & merged.known & wholly_in_view(view, merged), (begin, end)),
+    ):
+        rows = np.flatnonzero(shown[within[0] : within[1]])[:: WINDOW // 2] + within[0]
+        before, after = (
+            float(np.median(_reduced_chi2(as_track(view, source, one, shown), rows, within))) for one in (ours, theirs)
+        )
+        if 0.0 < after < FLIGHT_CHI2 and before > 0.0:
+            found.append((after / before, after))
+    return min(found)
 
 
 def _reversed_rates(view: View, poses: ClipPoses, k: int) -> Array:

@@ -74,7 +74,6 @@ from .impact_trials import (
     initial_covariance,
     is_high,
     motion_of_poses,
-    speed_of_energy_m_s,
     widest_sigma,
 )
 from .motion_filter import (
@@ -299,7 +298,10 @@ class FrameTracker:
         late = predicted_delay(self.view.rig, self.motion, dt, self.view.gravity_m_s2)
         time_s, dt = time_s + late, dt + late
         if self.clock[2] >= MIN_POSES_OF_FLIGHT:
-            self._fastest_m_s = speed_of_energy_m_s(self.view.die, self.motion)
+            gyration2 = float(np.linalg.eigvalsh(self.view.die.tensor_kg_m2)[-1]) / self.view.die.mass_kg
+            self._fastest_m_s = float(
+                np.sqrt((self.motion[3:6] ** 2).sum() + gyration2 * (self.motion[6:9] ** 2).sum())
+            )
         predicted, P = self.motion.copy(), self.P.copy()
         R = predict_motion(predicted, self.rotation, P, dt, self.view.gravity_m_s2)
         expected = _state(time_s, predicted, R)
@@ -501,7 +503,7 @@ class FrameTracker:
             rates = np.concatenate([pose.position_m - last.position_m, turn]) / dt
         self.motion = np.concatenate([pose.position_m, rates])
         self.rotation = pose.rotation.copy()
-        self.P = initial_covariance(self.view, pose, passed_s / max(self.misses, 1), reach, rad, self._most_m_s)
+        self.P = initial_covariance(self.view, pose, passed_s / max(self.misses, 1), reach, rad)
         self.clock = np.array([exposed_s, self.usual_cost, 1.0])
         self._forget_loss()
         return pose
@@ -515,25 +517,23 @@ class FrameTracker:
         is_known = self.misses == 0 and self.clock[2] >= MIN_POSES_OF_FLIGHT
         if is_known or len(self._surprising) < MIN_POSES_OF_FLIGHT:
             return
-        rows, candidates = (list(some) for some in zip(*self._surprising, strict=True))
-        found = motion_of_poses(self.view, times_s[rows], candidates, self._most_m_s)
+        rows = [row for row, _ in self._surprising]
+        fastest_m_s = min(self._fastest_m_s, FASTEST_M_S) * (FASTEST_FACTOR_BACKWARDS if self.backwards else 1.0)
+        found = motion_of_poses(
+            self.view, times_s[rows], [candidates for _, candidates in self._surprising], fastest_m_s
+        )
         if found is None:
             return
         for row, pose in zip(rows, found.poses, strict=True):
             poses.put(row, pose, found.motion[3:])
         self.follow(found)
 
-    @property
-    def _most_m_s(self) -> float:
-        """Speed [m/s] that the die's energy allows on the other side of an impact."""
-        return min(self._fastest_m_s, FASTEST_M_S) * (FASTEST_FACTOR_BACKWARDS if self.backwards else 1.0)
-
     def follow(self, found: MotionOfPoses) -> None:
         """Go on from a flight through poses of single pictures."""
         last, n = found.poses[-1], len(found.poses)
         frame_s = float(abs(found.time_s[-1] - found.time_s[0])) / (n - 1)
         self.motion, self.rotation = found.motion.copy(), last.rotation.copy()
-        self.P = initial_covariance(self.view, last, frame_s, BOUNCED_REACH, BOUNCED_RAD, self._most_m_s)
+        self.P = initial_covariance(self.view, last, frame_s, BOUNCED_REACH, BOUNCED_RAD)
         moving, turning = np.r_[0:3, 6:9], np.r_[3:6, 9:12]
         self.P[np.ix_(moving, turning)], self.P[np.ix_(turning, moving)] = 0.0, 0.0
         self.P[np.ix_(moving, moving)] = found.covariance
@@ -579,10 +579,10 @@ class FrameTracker:
             self._rates_after_impact = different_rates(
                 beyond_impacts(self.view.die, last, time_s, self.view.gravity_m_s2), frame_s
             )
-            reach, rad = (BOUNCED_REACH, BOUNCED_RAD) if start.velocity_m_s.any() else (UNKNOWN_REACH, UNKNOWN_RAD)
+            has_rates = np.any(start.velocity_m_s != 0.0)
+            reach, rad = (BOUNCED_REACH, BOUNCED_RAD) if has_rates else (UNKNOWN_REACH, UNKNOWN_RAD)
             self.motion = np.concatenate([pose.position_m, start.velocity_m_s, start.omega_rad_s])
-            self.rotation = pose.rotation.copy()
-            self.P = initial_covariance(self.view, pose, frame_s, reach, rad, self._most_m_s)
+            self.rotation, self.P = pose.rotation.copy(), initial_covariance(self.view, pose, frame_s, reach, rad)
             count = 0.0
         else:
             motion, self._rates_after_impact = predicted, np.zeros((0, 6))

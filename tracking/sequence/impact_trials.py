@@ -49,8 +49,6 @@ flight."""
 EVEN_CHANCE = 0.005
 """Probability with which orientations on three pictures turn evenly by chance. With θ the largest departure, one of them comes
 near enough to one of N labellings of an even rotation with the probability N θ³/6π, and N spins lead through the two before."""
-LEAST_ENERGY_M_S = 0.3
-"""Least speed [m/s] that a die is taken to have the energy for: one at rest may be pushed."""
 SINK_FACTOR = 1.5
 """Factor on a corner's descent over a frame interval, for the error of its velocity."""
 
@@ -225,25 +223,14 @@ def _motion_through(
     return MotionOfPoses(labelled, time_s, np.concatenate([fitted, even[1]]), covariance)
 
 
-def speed_of_energy_m_s(die: Die, motion: Array) -> float:
-    """Speed [m/s] at which a die of a motion (9,) would fly with all its energy, apart from its height."""
-    gyration2 = float(np.linalg.eigvalsh(die.tensor_kg_m2)[-1]) / die.mass_kg
-    return float(np.sqrt((motion[3:6] ** 2).sum() + gyration2 * (motion[6:9] ** 2).sum()))
-
-
-def initial_covariance(
-    view: View, pose: Pose, frame_s: float, reach: float, rad: float, fastest_m_s: float = np.inf
-) -> Array:
+def initial_covariance(view: View, pose: Pose, frame_s: float, reach: float, rad: float) -> Array:
     """Covariance (12, 12) of a motion whose velocities are guesses, with these standard deviations per frame interval, in
-    circumradii and in radians, and none larger than those of a die whose whole energy moves it at `fastest_m_s`, or spins it: on
-    films of thousands of frames a second a guess per frame would let it fly away along the line of sight."""
+    circumradii and in radians."""
     P = np.zeros((12, 12))
     known = pose.covariance
     P[:6, :6] = POSE_VARIANCE_FACTOR * known if known is not None else 0.0
-    most_m_s = max(fastest_m_s, LEAST_ENERGY_M_S)
-    gyration_m = float(np.sqrt(np.linalg.eigvalsh(view.die.tensor_kg_m2)[0] / view.die.mass_kg))
-    P[6:9, 6:9] = np.eye(3) * min(reach * view.reach_m / frame_s, most_m_s) ** 2
-    P[9:, 9:] = np.eye(3) * min(rad / frame_s, most_m_s / gyration_m) ** 2
+    P[6:9, 6:9] = np.eye(3) * (reach * view.reach_m / frame_s) ** 2
+    P[9:, 9:] = np.eye(3) * (rad / frame_s) ** 2
     return P
 
 

@@ -69,8 +69,6 @@ COVARIANCE_GROWTH = 1.06
 """Factor on a motion's covariance per frame: about twenty frames count."""
 POSE_INFORMATION_SHARE = 0.25
 """Factor on the information of a pose: the effect of shading on single poses lasts for many frames."""
-OWN_TURN_CHI2 = 9.0
-"""Squared turn of a pose from the predicted one, in its own standard errors (three numbers), up to which it is its error."""
 POSITION_FLOOR_PARTS = 25.0
 """The tight prior of a position over the least standard deviation of a measured one."""
 ROTATION_FLOOR_PARTS = 12.0
@@ -196,40 +194,15 @@ def motion_prior(P: Any, settings: RefinementSettings) -> Any:
 
 
 @inner_nogil
-def _covariance_of_pose(H: Any, settings: RefinementSettings, A: Any, out: Any) -> bool:
-    """Fill the covariance (6, 6) of a pose with information H; False if there is none. A (6, 6) is overwritten."""
-    for a in range(6):
-        for b in range(6):
-            A[a, b] = POSE_INFORMATION_SHARE * H[a, b]
-        A[a, a] += 1.0 / (settings.loose_m**2 if a < 3 else settings.loose_rad**2)
-    return inverse_positive(A, np.int64(6), out)
-
-
-@inner_nogil
-def _is_turned_by_error(turn: Any, H: Any, settings: RefinementSettings) -> bool:
-    """Whether a pose with information H may be turned (3,) so far from the true one by its own error. A face seen alone
-    hardly shows which way it is inclined."""
-    C, A, B = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros((3, 3))
-    if not _covariance_of_pose(H, settings, A, C):
-        return False
-    for a in range(3):
-        for b in range(3):
-            A[a, b] = C[3 + a, 3 + b]
-    if not inverse_positive(A, np.int64(3), B):
-        return False
-    total = 0.0
-    for a in range(3):
-        for b in range(3):
-            total += turn[a] * B[a, b] * turn[b]
-    return total < OWN_TURN_CHI2
-
-
-@inner_nogil
 def _innovation(x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, settings: RefinementSettings) -> tuple[bool, Any, Any]:
     """Whether a pose (p, Q) with information H has an innovation, the innovation z (6,), and the inverse S (6, 6) of
     its covariance."""
     S, z, A = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6))
-    if not _covariance_of_pose(H, settings, A, S):
+    for a in range(6):
+        for b in range(6):
+            A[a, b] = POSE_INFORMATION_SHARE * H[a, b]
+        A[a, a] += 1.0 / (settings.loose_m**2 if a < 3 else settings.loose_rad**2)
+    if not inverse_positive(A, np.int64(6), S):
         return False, S, z
     for a in range(6):
         for b in range(6):
@@ -337,7 +310,7 @@ def track_frames(
         high = lowest_m(shape, ahead, R_ahead) - HEIGHT_SIGMAS * sigma_m > BOUNCE_REACH * reach
         if not new and high:
             far_m, far_rad = FIRST_POSES_REACH * reach, FIRST_POSES_RAD
-        if not new and seen and turned < FIRST_POSES_RAD:
+        if not new and seen and turned < far_rad:
             off = innovation_squared(ahead, R_ahead, P_ahead, p, Q, equations.H, settings)
             if off > path_chi2:
                 return k
@@ -345,8 +318,6 @@ def track_frames(
                 confirmed = True
                 allowed = ANY_COST if clear_px > WELL_SEEN * contour_px else MAX_EXCESS_COST
                 far_m = FIRST_POSES_REACH * reach
-                if _is_turned_by_error(moved, equations.H, settings):
-                    far_rad = FIRST_POSES_RAD
         if not (confirmed and turned < far_rad and gone < far_m and cost < usual + allowed):
             return k
         for a in range(3):
