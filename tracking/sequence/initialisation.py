@@ -75,7 +75,7 @@ UNEVEN = 1.0
 MIN_HYPOTHESES = 3
 """Frames whose hypotheses are compared at least if none is certain, as of small dice."""
 SHARPER = 0.6
-"""Factor on the lens blur for a second search if no hypothesis is accepted, or none is certain. With twice the true blur none was
+"""Factor on the lens blur for a second search if no hypothesis is accepted, or that of the first frame is uncertain. With twice the true blur none was
 accepted of a tetrahedron of 27 pixels an edge, and with this factor that on the first frame is certain. A blur several times too
 small does no harm."""
 STAGES = (4, 8, 16, 32, 64)

@@ -164,8 +164,8 @@ class Deflected:
 
 @pytest.mark.xfail(
     strict=True,
-    reason="of equally good motions the one stays that was tracked; deciding by the pictures helped some random clips, "
-    "and harmed as many",
+    reason="of equally good motions the one stays that was tracked; deciding by the pictures, with two other rules, "
+    "harmed as many random clips as it helped",
 )
 def test_far_away_the_pictures_of_a_whole_flight_decide() -> None:
     """From sixteen metres the reversal of the flight behind an impact falls and turns as evenly as the die does. It gives way
