@@ -75,9 +75,9 @@ UNEVEN = 1.0
 MIN_HYPOTHESES = 3
 """Frames whose hypotheses are compared at least if none is certain, as of small dice."""
 SHARPER = 0.6
-"""Factor on the lens blur for a second search if no hypothesis is accepted, or that of the first frame is uncertain. With twice the true blur none was
-accepted of a tetrahedron of 27 pixels an edge, and with this factor that on the first frame is certain. A blur several times too
-small does no harm."""
+"""Factor on the lens blur for a second search if no hypothesis is accepted, or that of the first frame is uncertain. With twice
+the true blur none was accepted of a tetrahedron of 27 pixels an edge, and with this factor that on the first frame is certain. A
+blur several times too small does no harm."""
 STAGES = (4, 8, 16, 32, 64)
 """Frames over which hypotheses are tracked, stage by stage. A hypothesis must be tracked over the second stage to be accepted;
 from the third on only the second half of the frames counts."""
