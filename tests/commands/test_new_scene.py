@@ -124,7 +124,8 @@ def test_what_is_missing_is_named_with_how_to_get_it(folder: Path) -> None:
 
 def test_questions_are_asked_only_about_what_the_files_do_not_say(folder: Path) -> None:
     """The die, then the rate, which a TIFF has not, then the board."""
-    status, output, notes = invoke("new", folder, answers="cube\n16\n4.8\n1500\n10\n7.5\n")
+    edge_mm = 1e3 * CUBE.solid.edge_m
+    status, output, notes = invoke("new", folder, answers=f"cube\n{edge_mm}\n4.8\n1500\n10\n7.5\n")
     assert status == 0, output + notes
     assert "Recording rate" in output
     assert read_scene(folder / "scene.toml").die.mass_kg == pytest.approx(0.0048)
