@@ -10,7 +10,9 @@ contact that carries the share ν of the weight at a horizontal distance d from 
 
     a = (1 - ν) g   and   α = ν m g d/J;      while it lasts, ν = J/(J + m d²) at least.
 
-Flights that follow each other without an interval of support remain flights.
+Flights that follow each other without an interval of support remain flights. So do frames of a die that tumbles too fast to stay
+on the table: with the spin ω about a horizontal axis its centre, at the height h ≥ r, the inscribed radius, would have to
+accelerate down with ω² h, and a table does not pull.
 """
 
 from __future__ import annotations
@@ -76,6 +78,12 @@ SUPPORTED_SHARE = 0.5
 """Share of g below which the centre does not fall freely: half-way between a die in flight and one at rest."""
 FALL_SIGMAS = 3.0
 """Standard errors by which the acceleration must differ from g."""
+TUMBLING_G = 2.0
+"""Downward acceleration, in g, that a die's spin would take to stay on the table, beyond which it flies: with little more than
+one it hops, too low to be seen."""
+TURN_RAD = 0.2
+"""Turn [rad] of a die that just stays on the table over the frames between which its spin is taken: some times the error of a
+pose."""
 TOUCHING_SHARE = 0.01
 """Height above the lowest vertex, as a share of an edge, up to which a vertex touches the table."""
 
@@ -142,6 +150,8 @@ def first_supported_row(observations: WeightedPoses, die: Die) -> int:
     elif not _is_supported(observations, slice(first, n)):
         # Errors that neighbouring frames share make windows of a flight look unlike one. Where the whole range does not show
         # support either, a flight errs less than its heights do.
+        return n
+    if _tumbles(observations.rows(slice(first, n)), die):
         return n
     # The last impact may lie a frame behind the first level frame: the frames that show it are left to the flight.
     return min(first + FRAMES_LEFT_TO_FLIGHT, n)
@@ -277,6 +287,17 @@ def _is_supported(observations: WeightedPoses, rows: slice) -> bool:
     sigma = float(np.sqrt(variance * inverse[2, 2]))
     gravity_m_s2 = observations.gravity_m_s2
     return bool(values[2] > -SUPPORTED_SHARE * gravity_m_s2 and values[2] + gravity_m_s2 > FALL_SIGMAS * sigma)
+
+
+def _tumbles(observations: WeightedPoses, die: Die) -> bool:
+    """Whether the die turns, in most frames, about a horizontal axis too fast to stay on the table (TUMBLING_G)."""
+    t, q = observations.time_s, observations.quaternion
+    fastest_rad_s = np.sqrt(TUMBLING_G * observations.gravity_m_s2 / die.solid.inradius)
+    stride = max(1, round(TURN_RAD / (fastest_rad_s * float(np.median(np.diff(t))))))
+    if len(t) <= stride:
+        return False
+    turns = rotation_between(q[:-stride], q[stride:])
+    return bool(np.median(np.hypot(turns[:, 0], turns[:, 1]) / (t[stride:] - t[:-stride])) > fastest_rad_s)
 
 
 # --- frames on the table -----------------------------------------------------------------------------------------------
