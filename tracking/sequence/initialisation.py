@@ -49,6 +49,7 @@ from .acceptance import AMBIGUOUS_COST, FASTEST_M_S, HEIGHT_SIGMAS, MIN_POSES_OF
 from .frame_to_frame import MOST_CANDIDATES, FrameTracker
 from .impact_trials import is_high, motion_of_poses
 from .motion_filter import lowest_m
+from .places import PlacesBeside
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -194,20 +195,25 @@ def find_initial_pose(
 
 
 def find_lost_die(
-    view: View, source: FrameSource, unused: Mask, report: Callable[[int], None]
+    view: View, source: FrameSource, unused: Mask, report: Callable[[int], None], beside: PlacesBeside
 ) -> tuple[FrameTracker, ClipPoses] | None:
-    """As `find_initial_pose`, where the lens blur is known and a die need not be in view: None unless a pose is accepted."""
-    found, _ = _search(view, source, unused, report)
+    """As `find_initial_pose`, where the lens blur is known and a die need not be in view: None unless a pose is accepted, which
+    the places on the frames `beside` can lead to."""
+    found, _ = _search(view, source, unused, report, beside)
     return _on_clip(found[1], source, found[0], unused) if found is not None else None
 
 
 def _search(
-    view: View, source: FrameSource, unused: Mask, report: Callable[[int], None]
+    view: View,
+    source: FrameSource,
+    unused: Mask,
+    report: Callable[[int], None],
+    beside: PlacesBeside | None = None,
 ) -> tuple[Candidate | None, list[Candidate]]:
     """The first hypothesis that is certain or with which others agree; and those that are neither."""
     uncertain: list[Candidate] = []
     for k in islice(_candidate_frames(view, source, unused, report), MAX_FIRST_FRAMES):
-        best = best_hypothesis(view, source, k, unused)
+        best = best_hypothesis(view, source, k, unused, beside)
         if best is None or best.support < MIN_SUPPORT:
             continue
         if best.is_certain:
@@ -325,21 +331,24 @@ def _on_clip(hypothesis: Hypothesis, source: FrameSource, k: int, unused: Mask) 
 # --- the hypotheses of one frame ---------------------------------------------------------------------------------------
 
 
-def best_hypothesis(view: View, source: FrameSource, k: int, unused: Mask) -> Hypothesis | None:
-    """The hypothesis on frame k that the frames after it support best; None if they support none."""
+def best_hypothesis(
+    view: View, source: FrameSource, k: int, unused: Mask, beside: PlacesBeside | None = None
+) -> Hypothesis | None:
+    """The hypothesis on frame k that the frames after it support best, of those that places `beside` lead to; None if there is
+    none."""
     left = min(STAGES[-1], _frames_ahead(unused, k))
     rate_px_s = _rate_px_s(view, source, k, unused)
-    poses = _candidates(view, source, k, rate_px_s)
+    poses = _candidates(view, source, k, rate_px_s, beside)
     found = _best_tracked(
         view, source, k, [_new_hypothesis(view, source, k, pose, unused, rate_px_s) for pose in poses], left
     )
     if found is None and poses and left > MIN_POSES_OF_FLIGHT:
-        moving = _moving_hypothesis(view, source, k, poses, unused)
+        moving = _moving_hypothesis(view, source, k, poses, unused, beside)
         found = None if moving is None else _best_tracked(view, source, k, [moving], left)
     return found
 
 
-def _candidates(view: View, source: FrameSource, k: int, rate_px_s: Array) -> list[Pose]:
+def _candidates(view: View, source: FrameSource, k: int, rate_px_s: Array, beside: PlacesBeside | None) -> list[Pose]:
     """Candidate poses of frame k, and their depth reversals that explain it as well."""
     picture = np.asarray(source.frame(k), np.float32)
     kept = [pose for _, pose in pose_candidates(view, picture, rate_px_s)]
@@ -350,7 +359,8 @@ def _candidates(view: View, source: FrameSource, k: int, rate_px_s: Array) -> li
             places = [(one.position_m, one.rotation) for one in kept]
             if not any(same_picture(view, place, (other.position_m, other.rotation)) for place in places):
                 kept.append(other)
-    return kept
+    time_s = float(source.times_s[k])
+    return [pose for pose in kept if beside is None or beside.can_lead_to(pose, time_s)]
 
 
 def _best_tracked(
@@ -448,7 +458,9 @@ def _new_hypothesis(view: View, source: FrameSource, k: int, pose: Pose, unused:
     return Hypothesis(tracker, poses, Score(pose.cost_with_edge_noise))
 
 
-def _moving_hypothesis(view: View, source: FrameSource, k: int, poses: list[Pose], unused: Mask) -> Hypothesis | None:
+def _moving_hypothesis(
+    view: View, source: FrameSource, k: int, poses: list[Pose], unused: Mask, beside: PlacesBeside | None
+) -> Hypothesis | None:
     """The hypothesis through some pose of frame k and poses that the next pictures show by themselves. A die may turn so far from
     frame to frame that no pose leads to the next without its spin."""
     rows = k + np.arange(MIN_POSES_OF_FLIGHT)
@@ -456,7 +468,7 @@ def _moving_hypothesis(view: View, source: FrameSource, k: int, poses: list[Pose
         return None
     candidates = [
         poses,
-        *(_candidates(view, source, int(row), _rate_px_s(view, source, int(row), unused)) for row in rows[1:]),
+        *(_candidates(view, source, int(k), _rate_px_s(view, source, int(k), unused), beside) for k in rows[1:]),
     ]
     cheapest = [sorted(some, key=lambda pose: pose.cost)[:MOST_CANDIDATES] for some in candidates]
     motion = motion_of_poses(view, source.times_s[rows], cheapest, FASTEST_M_S)

@@ -45,6 +45,7 @@ from .initialisation import (
     log_scatter,
 )
 from .labelling import with_labels_continued
+from .places import PlacesBeside
 
 Mask = NDArray[np.bool_]
 
@@ -196,7 +197,9 @@ def _resumed(view: View, task: TrackingTask, poses: ClipPoses) -> ClipPoses:
     while (lost := _first_lost_range(view, source, poses, task.unused | given_up)) is not None:
         elsewhere = np.ones(len(given_up), bool)
         elsewhere[lost] = False
-        found = find_lost_die(view, source, task.unused | elsewhere, task.report)
+        beside = [k for k in (lost.start - 1, lost.stop) if 0 <= k < len(poses.known) and poses.known[k]]
+        places = PlacesBeside.of(poses, source.times_s, beside, view.die.solid.edge_m)
+        found = find_lost_die(view, source, task.unused | elsewhere, task.report, places)
         if found is None:
             given_up[lost] = True
             continue
