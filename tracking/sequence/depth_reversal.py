@@ -46,9 +46,9 @@ REVERSAL_MISFIT = 0.15
 COSTLY_MISFIT = 0.3
 """Misfit above the usual of the clip from which a frame is compared with its reversal."""
 CLEAR_MISFIT = 0.5
-"""Misfit by which the reversal of SHORT_RUN frames or fewer must be better to be accepted whatever its motion is. Where a die
-passes a view in which near and far draw the same, it may be followed as its reversal from there on. Of a tetrahedron above its
-shadow the reversal was better by 0.3."""
+"""Misfit by which the reversal must be better to be accepted whatever its motion is, of SHORT_RUN frames or fewer, or of more
+between impacts that leave no flight. Where a die passes a view in which near and far draw the same, it may be followed as its
+reversal from there on. Of a tetrahedron above its shadow the reversal was better by 0.3."""
 SHORT_RUN = 12
 """Frames whose motion hardly shows the fall: over more of them it decides."""
 MAX_CHI2_RATIO = 0.5
@@ -194,12 +194,12 @@ def _best_reversed_run(
         k, pose = starts[i]
         other = _tracked_from(view, source, pose, _reversed_rates(view, poses, k), k, limits, unused)
         run = _followed(poses, other, rows, k)
-        gain = _gain(poses, other, run)
-        if _is_clearly_better(poses, other, run):
+        gain, is_long = _gain(poses, other, run), run.stop - run.start > SHORT_RUN
+        if _is_clearly_better(poses, other, run) and not (is_long and _tells_motion(view, source, poses, other, run)):
             ratio, chi2 = -np.inf, -np.inf
         else:
             ratio, chi2 = _chi2_ratio(view, source, poses, other, run)
-            is_decisive = ratio < DECISIVE_CHI2_RATIO and run.stop - run.start > SHORT_RUN
+            is_decisive = ratio < DECISIVE_CHI2_RATIO and is_long
             if gain < -REVERSAL_MISFIT and not is_decisive:
                 continue
         if ratio < least:
@@ -234,12 +234,24 @@ def _gain(poses: ClipPoses, other: ClipPoses, run: slice) -> float:
 
 
 def _is_clearly_better(poses: ClipPoses, other: ClipPoses, run: slice) -> bool:
-    """Whether other poses are those of nearly all frames of a short run and explain their pictures clearly better: its motion
-    then need not tell, which a few frames behind an impact hardly show."""
+    """Whether other poses are those of nearly all frames of a run and explain their pictures clearly better."""
     both = np.flatnonzero((poses.known & other.known)[run]) + run.start
     covered = len(both) >= max(MIN_COVERAGE * poses.known[run].sum(), MIN_IN_A_ROW)
     gain = poses.cost_with_edge_noise[both] - other.cost_with_edge_noise[both]
-    return bool(covered and run.stop - run.start <= SHORT_RUN and float(np.median(gain)) > CLEAR_MISFIT)
+    return bool(covered and float(np.median(gain)) > CLEAR_MISFIT)
+
+
+def _tells_motion(view: View, source: FrameSource, poses: ClipPoses, other: ClipPoses, run: slice) -> bool:
+    """Whether the motion tells which of two poses are those of a die: not where impacts follow each other so fast that no motion
+    through the frames about a run is that of one in flight, with either, and the others scatter less in the run itself."""
+    merged = _merged(view, poses, other, run, source.times_s)
+    shown = poses.known & merged.known & wholly_in_view(view, merged)
+    about = max(run.start - WINDOW // 2, 0), min(run.stop + WINDOW // 2, len(shown))
+    if min(_median_chi2(view, source, one, shown, about) for one in (poses, merged)) < FLIGHT_CHI2:
+        return True
+    both = poses.known & other.known
+    before, after = (_median_chi2(view, source, one, both, (run.start, run.stop)) for one in (poses, other))
+    return after > before
 
 
 def _runs(has_reversal: Mask) -> list[tuple[int, int]]:
@@ -274,13 +286,16 @@ def _chi2_ratio(view: View, source: FrameSource, poses: ClipPoses, other: ClipPo
         (poses, other, both, (0, len(both))),
         (poses, merged, poses.known & merged.known & wholly_in_view(view, merged), (begin, end)),
     ):
-        rows = np.flatnonzero(shown[within[0] : within[1]])[:: WINDOW // 2] + within[0]
-        before, after = (
-            float(np.median(_reduced_chi2(as_track(view, source, one, shown), rows, within))) for one in (ours, theirs)
-        )
+        before, after = (_median_chi2(view, source, one, shown, within) for one in (ours, theirs))
         if 0.0 < after < FLIGHT_CHI2 and before > 0.0:
             found.append((after / before, after))
     return min(found)
+
+
+def _median_chi2(view: View, source: FrameSource, poses: ClipPoses, shown: Mask, within: tuple[int, int]) -> float:
+    """Median reduced chi-square of windows of the shown frames within a range."""
+    rows = np.flatnonzero(shown[slice(*within)])[:: WINDOW // 2] + within[0]
+    return float(np.median(_reduced_chi2(as_track(view, source, poses, shown), rows, within)))
 
 
 def _reversed_rates(view: View, poses: ClipPoses, k: int) -> Array:
