@@ -23,7 +23,12 @@ from diethrow.model.die.solid import SHAPES
 from diethrow.model.rotations import matrix_from_quat
 
 Array = NDArray[np.float64]
-RESTITUTIONS = {"newton": engine.NEWTON, "poisson": engine.POISSON, "stronge": engine.STRONGE}
+RESTITUTIONS = {
+    "newton": engine.NEWTON,
+    "poisson": engine.POISSON,
+    "stronge": engine.STRONGE,
+    "algebraic": engine.ALGEBRAIC,
+}
 BODIES = (*SHAPES, "rod", "disc")
 
 CREATED = 1e-12

@@ -38,6 +38,7 @@ from .sliding_contact import FrictionalCorners as FrictionalCorners
 from .sliding_contact import friction_step as friction_step
 from .sliding_contact import inelastic_impulse as inelastic_impulse
 from .sliding_contact import move_freely as move_freely
+from .types import ALGEBRAIC as ALGEBRAIC
 from .types import BALANCED as BALANCED
 from .types import CHATTER as CHATTER
 from .types import COULOMB as COULOMB

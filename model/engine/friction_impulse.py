@@ -34,6 +34,9 @@ the slip stops, and from then on h is positive, whether the contact sticks (a - 
 only removes energy, so Stronge's restitution never creates any, whatever the slip does; `benchmarks/impact_energy.py`
 counts how often Newton's does. If w passes zero more than once, every part with w < 0 counts as compression and every
 other part as restitution.
+
+**Without a course.** The algebraic law (Chatterjee & Ruina, J. Appl. Mech. 65, 939, 1998) says what the impulse is as a whole:
+that of the normal restitution, and of what would stop the slip as much as the friction cone allows (`algebraic_impulse`).
 """
 
 from __future__ import annotations
@@ -44,7 +47,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compiled import compiled, inner, int64
-from .types import FALSE, NEWTON, POISSON, STRONGE, Array, Matrix6, Vector
+from .types import ALGEBRAIC, FALSE, NEWTON, POISSON, STRONGE, Array, Matrix6, Vector
 
 TAYLOR_ORDER = 20
 """Of the series in τ: an accuracy of e^-35 costs e^(35/N) steps of N² operations each, least at N = 17."""
@@ -137,13 +140,39 @@ def slide_direction(xx: float, xy: float, yy: float, radius: float, dx: float, d
     return ux / size, uy / size, sigma
 
 
+@inner
+def algebraic_impulse(
+    matrix: Matrix6, chi: float, mu: float, cx: float, cy: float, cz: float
+) -> tuple[float, float, float]:
+    """Impulse of the law of Chatterjee and Ruina with a tangential restitution of 0, on an approaching contact.
+
+    With P = -(w/a) ẑ, which stops the approach, and P + D = -M⁻¹ c, which stops the slip as well, it is (1 + χ) P + κ D with
+    κ = 1, or less so that it lies on the friction cone. D does not change w, which becomes -χ w. D and P are orthogonal in the
+    metric of M, in which the energy grows with the distance from P + D: the impact creates none, since χ ≤ 1 and κ ≤ 1.
+    """
+    xx, xy, xz, yy, yz, zz = matrix
+    normal = -(1.0 + chi) * cz / zz
+    # The slip that P leaves, and what T becomes for impulses that do not change w.
+    sx, sy = cx - xz * cz / zz, cy - yz * cz / zz
+    a, b, c = xx - xz * xz / zz, xy - xz * yz / zz, yy - yz * yz / zz
+    det = a * c - b * b
+    dx, dy = (b * sy - c * sx) / det, (b * sx - a * sy) / det
+    dz = -(xz * dx + yz * dy) / zz
+    size = hypot(dx, dy)
+    if size <= mu * (normal + dz):
+        return dx, dy, normal + dz
+    kappa = mu * normal / (size - mu * dz)
+    # Its normal part by the cone: with much friction the sum of the two cancels.
+    return kappa * dx, kappa * dy, kappa * size / mu
+
+
 @compiled(shared=True)
 def friction_impulse(
     matrix: Matrix6, chi: float, mu: float, ending: int, cx: float, cy: float, cz: float
 ) -> tuple[float, float, float]:
     """Impulse [N s] of the table on the contact with velocity (cx, cy, cz) [m/s] before, z the normal.
 
-    `matrix` from `contact_matrix`; `ending` NEWTON, POISSON or STRONGE. Zero for a contact that does not approach, NaN
+    `matrix` from `contact_matrix`; `ending` NEWTON, POISSON, STRONGE or ALGEBRAIC. Zero for a contact that does not approach, NaN
     where c is not finite. One small array is allocated where the slip turns, none elsewhere.
     """
     xx, xy, xz, yy, yz, zz = matrix
@@ -156,6 +185,9 @@ def friction_impulse(
         return nan, nan, nan
     # Nothing depends on the unit of velocity; in this one the work of the slowest impact does not underflow.
     vx, vy, w = cx / size, cy / size, cz / size
+    if ending == ALGEBRAIC:
+        sx, sy, p = algebraic_impulse(matrix, chi, mu, vx, vy, w)
+        return size * sx, size * sy, size * p
     goal = -chi * w if ending == NEWTON else 0.0
     sx, sy, p, restituting, ended = 0.0, 0.0, 0.0, False, False
     course = _slip_regime(matrix, mu, vx, vy, abs(w))

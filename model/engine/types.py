@@ -107,8 +107,9 @@ SMOOTH, COULOMB, SMOOTH_BY_SPEED, COULOMB_BY_SPEED, COULOMB_FADING = 0, 1, 2, 3,
 """Codes of the laws. Parameters: (χ), (χ, μ, ending), (χ₀, speed scale, exponent), (χ₀, μ, ending, scale, exponent), and
 of the last (χ₀, μ₀, ending, scale and exponent of χ, scale and exponent of μ)."""
 
-NEWTON, POISSON, STRONGE = 0, 1, 2
-"""What ends an impact with friction: the ratio of normal velocities, of impulses, or of works."""
+NEWTON, POISSON, STRONGE, ALGEBRAIC = 0, 1, 2, 3
+"""What ends an impact with friction: the ratio of normal velocities, of impulses, or of works; or the impulse as a whole, which
+no course of the slip leads to (`friction_impulse.algebraic_impulse`)."""
 
 
 def law_of(code: int, parameters: Array) -> Law:

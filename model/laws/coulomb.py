@@ -1,4 +1,4 @@
-"""The impact with Coulomb friction, and the three kinds of restitution that end it."""
+"""The impact with Coulomb friction, and the kinds of restitution that end it."""
 
 from __future__ import annotations
 
@@ -11,9 +11,14 @@ from .. import engine
 from ..errors import InputError
 from .impact_law import Array, check_restitution
 
-Restitution = Literal["newton", "poisson", "stronge"]
+Restitution = Literal["newton", "poisson", "stronge", "algebraic"]
 
-_RESTITUTION_CODES: dict[str, int] = {"newton": engine.NEWTON, "poisson": engine.POISSON, "stronge": engine.STRONGE}
+_RESTITUTION_CODES: dict[str, int] = {
+    "newton": engine.NEWTON,
+    "poisson": engine.POISSON,
+    "stronge": engine.STRONGE,
+    "algebraic": engine.ALGEBRAIC,
+}
 
 
 @dataclass(frozen=True)
@@ -33,7 +38,11 @@ class CoulombImpact:
     - "poisson", kinetic: the impulse in restitution is χ times that in compression.
     - "newton", kinematic: the normal velocity u becomes -χ u.
 
-    The three agree if the slip keeps its direction (Batlle, J. Appl. Mech. 63, 168, 1996). At μ = 0 all of them are
+    The fourth, "algebraic" (Chatterjee & Ruina, J. Appl. Mech. 65, 939, 1998), follows no course of the slip. u becomes -χ u,
+    and the impulse stops the slip as far as the friction cone allows, with a tangential restitution of 0. It never creates
+    energy, and asks for no contact so stiff that the body moves as a rigid one while the impact lasts.
+
+    The first three agree if the slip keeps its direction (Batlle, J. Appl. Mech. 63, 168, 1996). At μ = 0 all four are
     `SmoothImpact`. If the slip stops or turns, Newton's can create energy (Kane & Levinson, Dynamics, 1985): in 2 % of
     random impacts, up to more than there was. Poisson's did so in none of 10⁶.
     """

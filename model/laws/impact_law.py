@@ -39,7 +39,7 @@ class ImpactLaw(Protocol):
 
         SMOOTH: χ. COULOMB: χ, μ, kind. SMOOTH_BY_SPEED: χ₀, scale, exponent. COULOMB_BY_SPEED: χ₀, μ, kind, scale,
         exponent. COULOMB_FADING: χ₀, μ₀, kind, scale and exponent of χ, scale and exponent of μ. The kind of restitution is
-        0 for Newton's, 1 for Poisson's, 2 for Stronge's; scales are in m/s.
+        0 for Newton's, 1 for Poisson's, 2 for Stronge's, 3 for the algebraic one; scales are in m/s.
         """
         ...
 

@@ -37,6 +37,7 @@ RESTITUTION_MEANINGS: dict[Restitution, str] = {
     "stronge": "restitution chi by energy (Stronge)",
     "poisson": "restitution chi by impulse (Poisson)",
     "newton": "restitution chi by normal velocity (Newton)",
+    "algebraic": "restitution chi by normal velocity, friction by the impulse as a whole (Chatterjee and Ruina)",
 }
 
 

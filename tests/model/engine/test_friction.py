@@ -14,6 +14,9 @@ from diethrow.model.world import GRAVITY_M_S2
 
 ENDINGS = {"newton": engine.NEWTON, "poisson": engine.POISSON, "stronge": engine.STRONGE}
 each_ending = pytest.mark.parametrize("ending", ENDINGS.values(), ids=ENDINGS.keys())
+"""Of those that end a course of the slip."""
+ALL = ENDINGS | {"algebraic": engine.ALGEBRAIC}
+each_law = pytest.mark.parametrize("ending", ALL.values(), ids=ALL.keys())
 
 
 def contacts(seed: int, n: int):
@@ -60,10 +63,11 @@ def test_the_contact_matrix_is_the_change_of_contact_velocity_by_a_unit_impulse(
         )
 
 
-def test_stronges_restitution_never_creates_energy():
+@pytest.mark.parametrize("ending", [engine.STRONGE, engine.ALGEBRAIC], ids=["stronge", "algebraic"])
+def test_an_impact_never_creates_energy(ending):
     for matrix, chi, mu, c in contacts(2, 4000):
         for x in (chi, 0.0, 1.0):
-            energy, change = energies(matrix, c, np.array(engine.friction_impulse(matrix, x, mu, engine.STRONGE, *c)))
+            energy, change = energies(matrix, c, np.array(engine.friction_impulse(matrix, x, mu, ending, *c)))
             # Rounding of the matrices of rods (condition up to 1e5) in the sum that tests it.
             assert change <= 1e-14 * energy
 
@@ -77,7 +81,7 @@ def test_newtons_restitution_can_create_energy():
     assert max(created) > 0.02
 
 
-@each_ending
+@each_law
 def test_the_impulse_lies_within_the_cone_and_the_contact_leaves(ending):
     for matrix, chi, mu, c in contacts(4, 2000):
         sx, sy, sz = engine.friction_impulse(matrix, chi, mu, ending, *c)
@@ -88,7 +92,7 @@ def test_the_impulse_lies_within_the_cone_and_the_contact_leaves(ending):
         assert (c + full(matrix) @ [sx, sy, sz])[2] >= -1e-14 * terms
 
 
-@each_ending
+@each_law
 def test_without_friction_the_impulse_equals_the_smooth_one_to_the_last_digit(ending):
     for matrix, chi, _, c in contacts(5, 200):
         smooth = (0.0, 0.0, -(1.0 + chi) * c[2] / matrix[5])
@@ -98,11 +102,41 @@ def test_without_friction_the_impulse_equals_the_smooth_one_to_the_last_digit(en
         np.testing.assert_allclose(nearly, smooth, atol=1e-6 * smooth[2])
 
 
-def test_newtons_restitution_reverses_the_normal_velocity():
+@pytest.mark.parametrize("ending", [engine.NEWTON, engine.ALGEBRAIC], ids=["newton", "algebraic"])
+def test_the_restitution_of_velocities_reverses_the_normal_one(ending):
     for matrix, chi, mu, c in contacts(6, 1000):
-        impulse = np.array(engine.friction_impulse(matrix, chi, mu, engine.NEWTON, *c))
+        impulse = np.array(engine.friction_impulse(matrix, chi, mu, ending, *c))
         terms = abs(c).max() + np.abs(full(matrix) @ np.diag(impulse)).max()
         assert (c + full(matrix) @ impulse)[2] == pytest.approx(-chi * c[2], abs=1e-13 * terms)
+
+
+def test_the_algebraic_impulse_stops_the_slip_or_lies_on_the_friction_cone_along_what_would():
+    """Its definition, by the full matrix: (1 + χ) P + κ D with P + D = -M⁻¹ c."""
+    stopped = 0
+    for matrix, chi, mu, c in contacts(7, 2000):
+        M = full(matrix)
+        impulse = np.array(engine.friction_impulse(matrix, chi, mu, engine.ALGEBRAIC, *c))
+        P = np.array([0.0, 0.0, -c[2] / M[2, 2]])
+        D = np.linalg.solve(M, -c) - P
+        kappa = (impulse - (1.0 + chi) * P) @ D / (D @ D)
+        terms = np.abs(D).max() + (1.0 + chi) * P[2]
+        np.testing.assert_allclose(impulse, (1.0 + chi) * P + kappa * D, atol=1e-9 * terms)
+        assert 0.0 <= kappa <= 1.0 + 1e-9
+        on_cone = np.hypot(*impulse[:2]) == pytest.approx(mu * impulse[2], rel=1e-12)
+        assert on_cone or kappa == pytest.approx(1.0, abs=1e-9)
+        stopped += not on_cone
+    assert 200 < stopped < 1800
+
+
+@pytest.mark.parametrize("b", [0.3, 0.0, -0.3])
+def test_a_slip_that_keeps_its_direction_and_goes_on_has_the_same_impulse_by_either_law_of_velocities(b):
+    """A fast slip in one plane, on which friction acts against it throughout."""
+    for mu in (0.05, 0.2):
+        c = np.array([3.0, 0.0, -1.0])
+        algebraic, newton = (
+            engine.friction_impulse(planar(b), 0.6, mu, ending, *c) for ending in (engine.ALGEBRAIC, engine.NEWTON)
+        )
+        np.testing.assert_allclose(algebraic, newton, rtol=1e-13)
 
 
 def planar(b: float, tangential: float = 1.0, normal: float = 1.0):
@@ -244,7 +278,7 @@ def test_a_midpoint_integration_in_1e5_steps_agrees(ending):
     assert np.median(errors) < 5e-5
 
 
-@each_ending
+@each_law
 def test_the_impulse_does_not_depend_on_the_units(ending):
     for matrix, chi, mu, c in contacts(10, 300):
         impulse = np.array(engine.friction_impulse(matrix, chi, mu, ending, *c))
@@ -254,7 +288,7 @@ def test_the_impulse_does_not_depend_on_the_units(ending):
         np.testing.assert_allclose(other * 1e16, impulse, atol=1e-10 * np.abs(impulse).max())
 
 
-@each_ending
+@each_law
 def test_rotating_everything_about_the_vertical_rotates_the_impulse(ending):
     rng = np.random.default_rng(11)
     for matrix, chi, mu, c in contacts(12, 300):
@@ -266,7 +300,7 @@ def test_rotating_everything_about_the_vertical_rotates_the_impulse(ending):
         np.testing.assert_allclose(other, turn @ impulse, atol=1e-9 * np.abs(impulse).max())
 
 
-@each_ending
+@each_law
 def test_extreme_arguments_give_a_finite_impulse(ending):
     matrix, _, _, c = next(iter(contacts(13, 1)))
     for mu, chi, velocity in (

@@ -24,6 +24,7 @@ LAWS = {
     "newton": CoulombImpact(0.6, 0.15, "newton"),
     "poisson": CoulombImpact(0.6, 0.15, "poisson"),
     "stronge": CoulombImpact(0.6, 0.15, "stronge"),
+    "algebraic": CoulombImpact(0.6, 0.15, "algebraic"),
     "sticks": CoulombImpact(0.5, 0.6),
     "rough by speed": RestitutionBySpeed(CoulombImpact(0.7, 0.2), 2.0),
 }
