@@ -370,9 +370,11 @@ def _best_tracked(
     for stage in sorted({min(stage, left) for stage in STAGES}):
         leader = hypotheses[0] if stage > FULL_STAGE and hypotheses else None
         scored = [(h, score) for h in hypotheses if (score := _tracked_to(h, view, source, k, stage)) is not None]
-        if leader is not None and FULL_STAGE <= leader.flies_until < stage:
-            # What the others do behind that tells nothing: compared is the flight before.
-            return _winner(view, source, k, _best_until(view, source, k, hypotheses, leader.flies_until))
+        # What they do behind an impact of the leader, or one that lost them, tells nothing: compared is the flight before.
+        decided = [h for h, _ in scored if h is not leader]
+        ends = [h.flies_until for h in hypotheses if h not in decided and FULL_STAGE <= h.flies_until < stage]
+        if leader is not None and ends:
+            return _winner(view, source, k, _best_until(view, source, k, hypotheses, min(ends)))
         # Past an impact no hypothesis moves evenly: of those still on the die, the one that led before it has won.
         even = [(h, score) for h, score in scored if score.unevenness < UNEVEN or stage < min(HALF_STAGE, left)]
         if not even:

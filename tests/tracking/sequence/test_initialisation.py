@@ -22,8 +22,11 @@ from diethrow.tracking.footage.clip import open_clip
 from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.clip_poses import ClipPoses
+from diethrow.tracking.pose.refine import pose_state, refine_pose
 from diethrow.tracking.quality import FAST
-from diethrow.tracking.sequence.initialisation import best_hypothesis, find_initial_pose, log_scatter
+from diethrow.tracking.sequence import initialisation
+from diethrow.tracking.sequence.frame_to_frame import FrameTracker
+from diethrow.tracking.sequence.initialisation import Hypothesis, best_hypothesis, find_initial_pose, log_scatter
 from diethrow.tracking.sequence.tracker import ClipFacts, track_clip
 
 ROOT = Path(__file__).parents[3]
@@ -91,6 +94,35 @@ def test_a_certain_hypothesis_is_right_on_any_frame(shape: str) -> None:
             assert share_right(view, hypothesis.poses, source.times_s[k:], throw) == 1.0
     # Within eight frames before an impact nothing is sure.
     assert sure >= 3
+
+
+def test_a_hypothesis_is_not_judged_by_what_lost_it_behind_its_impact(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another, a little better before, is followed past the impact, as a wrong one may be. On the frames before it the pictures
+    speak for the one that was lost."""
+    view, source, throw = thrown("cube")
+    unused, impact, poses = np.zeros(FRAMES, bool), 40, ClipPoses.empty(FRAMES)
+    for k, time_s in enumerate(source.times_s):
+        state = throw.at(float(time_s))
+        picture = np.asarray(source.frame(k), np.float32)
+        pose = refine_pose(view, picture, pose_state(state.position_m, state.rotation), coarse=0)
+        poses.put(k, pose, np.concatenate([state.velocity_m_s, state.omega_rad_s]))
+    trackers = [FrameTracker.from_pose(view, pose, source.times_s, 0, unused) for _ in range(3)]
+    other = Hypothesis(trackers[0], poses.copy(), initialisation.Score(0.0))
+    other.poses.cost[:32] -= 0.2
+    other.poses.cost[32:] += 1.0
+    lost = Hypothesis(trackers[1], poses, initialisation.Score(0.0), flies_until=impact, before_impact=trackers[2])
+    lost.poses.known[impact + 1 :] = False
+
+    def tracked(one: Hypothesis, view: View, source: FrameSource, k: int, stage: int) -> initialisation.Score | None:
+        if one is lost and stage > impact:
+            return None
+        return initialisation._score(view, one.poses, source.times_s, 0, stage)
+
+    monkeypatch.setattr(initialisation, "_tracked_to", tracked)
+    monkeypatch.setattr(initialisation, "_distinct", lambda view, hypotheses: hypotheses)
+    found = initialisation._best_tracked(view, source, 0, [other, lost], FRAMES)
+    assert found is lost
+    assert found.tracker is trackers[2]
 
 
 def test_a_clip_may_begin_at_any_frame() -> None:
