@@ -195,7 +195,7 @@ def _best_reversed_run(
         other = _tracked_from(view, source, pose, _reversed_rates(view, poses, k), k, limits, unused)
         run = _followed(poses, other, rows, k)
         gain, is_long = _gain(poses, other, run), run.stop - run.start > SHORT_RUN
-        if _is_clearly_better(poses, other, run) and not (is_long and _tells_motion(view, source, poses, other, run)):
+        if _is_clearly_better(poses, other, run) and not (is_long and _motion_decides(view, source, poses, other, run)):
             ratio, chi2 = -np.inf, -np.inf
         else:
             ratio, chi2 = _chi2_ratio(view, source, poses, other, run)
@@ -241,8 +241,8 @@ def _is_clearly_better(poses: ClipPoses, other: ClipPoses, run: slice) -> bool:
     return bool(covered and float(np.median(gain)) > CLEAR_MISFIT)
 
 
-def _tells_motion(view: View, source: FrameSource, poses: ClipPoses, other: ClipPoses, run: slice) -> bool:
-    """Whether the motion tells which of two poses are those of a die: not where impacts follow each other so fast that no motion
+def _motion_decides(view: View, source: FrameSource, poses: ClipPoses, other: ClipPoses, run: slice) -> bool:
+    """Whether the motion decides which of two poses are those of a die: not where impacts follow each other so fast that no motion
     through the frames about a run is that of one in flight, with either, and the others scatter less in the run itself."""
     merged = _merged(view, poses, other, run, source.times_s)
     shown = poses.known & merged.known & wholly_in_view(view, merged)
