@@ -242,8 +242,8 @@ def _is_clearly_better(poses: ClipPoses, other: ClipPoses, run: slice) -> bool:
 
 
 def _motion_decides(view: View, source: FrameSource, poses: ClipPoses, other: ClipPoses, run: slice) -> bool:
-    """Whether the motion decides which of two poses are those of a die: not where impacts follow each other so fast that no motion
-    through the frames about a run is that of one in flight, with either, and the others scatter less in the run itself."""
+    """Whether the motion decides which of two poses are those of a die: not where impacts follow each other so fast that no
+    motion through the frames about a run is that of one in flight, with either, and the others scatter less in the run."""
     merged = _merged(view, poses, other, run, source.times_s)
     shown = poses.known & merged.known & wholly_in_view(view, merged)
     about = max(run.start - WINDOW // 2, 0), min(run.stop + WINDOW // 2, len(shown))
