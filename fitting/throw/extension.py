@@ -280,20 +280,7 @@ def _same_parameters(one: Trajectory, other: Trajectory) -> bool:
 def friction_alternatives(
     trajectory: Trajectory, free: FreeFlights, *, by_every_definition: bool = False
 ) -> list[Trajectory]:
-    """The trajectory with the friction that its frames support best, then others that agree with them as well. Where laws that
-    follow the course of the slip leave something unexplained, the algebraic law is taken if it clearly beats them."""
-    ranked = _friction_by_course(trajectory, free, by_every_definition=by_every_definition)
-    if well_explained(ranked[0], free):
-        return ranked
-    k2 = free.huber_threshold
-    trials = [_with_restitution("algebraic", ranked[0], k2), *_from_other_friction("algebraic", ranked[0], free)]
-    algebraic = min(trials, key=lambda one: one.cost(k2))
-    is_clear = algebraic.cost(k2) + CLEAR_DIFFERENCE * max(1.0, algebraic.mean_square) < ranked[0].cost(k2)
-    return [algebraic] if is_clear else ranked
-
-
-def _friction_by_course(trajectory: Trajectory, free: FreeFlights, *, by_every_definition: bool) -> list[Trajectory]:
-    """`friction_alternatives` among the definitions of restitution that end one course of the slip.
+    """The trajectory with the friction that its frames support best, then others that agree with them as well.
 
     Where no slip stops within an impact there is one alternative. Where one does, more friction may fit equally well, the
     least cost may lie behind a bend that a descent does not pass, and the definitions of restitution differ. The first

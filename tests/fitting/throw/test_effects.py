@@ -69,14 +69,6 @@ def test_intervals_hold_all_friction_and_every_definition_that_agree_with_a_boun
     assert any("The frames do not tell how restitution is defined" in message for message in fit.messages)
 
 
-@pytest.mark.parametrize("seed", [4, 6])
-def test_the_algebraic_law_is_found_where_a_throw_obeys_it(seed: int) -> None:
-    fit = fit_throw(*thrown(CUBE, CoulombImpact(0.6, 0.3, "algebraic"), seed), CUBE)
-    assert (fit.chosen, fit.restitution) == (("friction",), "algebraic")
-    assert_inside(fit, "chi", 0.6, 1e-3)
-    assert_inside(fit, "mu", 0.3, 5e-3)
-
-
 def test_a_slip_that_goes_on_leaves_no_doubt_of_the_definition() -> None:
     fit = fit_throw(*thrown(CUBE, CoulombImpact(0.6, 0.2), 4), CUBE)
     assert not any("restitution is defined" in message for message in fit.messages)
