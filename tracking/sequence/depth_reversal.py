@@ -244,10 +244,7 @@ def _is_clearly_better(poses: ClipPoses, other: ClipPoses, run: slice) -> bool:
 def _motion_decides(view: View, source: FrameSource, poses: ClipPoses, other: ClipPoses, run: slice) -> bool:
     """Whether the motion decides which of two poses are those of a die: not where impacts follow each other so fast that no
     motion through the frames about a run is that of one in flight, with either, and the others scatter less in the run."""
-    merged = _merged(view, poses, other, run, source.times_s)
-    shown = poses.known & merged.known & wholly_in_view(view, merged)
-    about = max(run.start - WINDOW // 2, 0), min(run.stop + WINDOW // 2, len(shown))
-    if min(_median_chi2(view, source, one, shown, about) for one in (poses, merged)) < FLIGHT_CHI2:
+    if min(_chi2_about(view, source, poses, other, run)) < FLIGHT_CHI2:
         return True
     both = poses.known & other.known
     before, after = (_median_chi2(view, source, one, both, (run.start, run.stop)) for one in (poses, other))
@@ -279,17 +276,20 @@ def _chi2_ratio(view: View, source: FrameSource, poses: ClipPoses, other: ClipPo
     covered = both[run].sum() >= MIN_COVERAGE * poses.known[run].sum()
     if not covered or both.sum() < MOTION_FRAMES:
         return np.inf, np.inf
+    everywhere = 0, len(both)
+    alone = tuple(_median_chi2(view, source, one, both, everywhere) for one in (poses, other))
+    pairs = (alone, _chi2_about(view, source, poses, other, run))
+    flying = [(after / before, after) for before, after in pairs if 0.0 < after < FLIGHT_CHI2 and before > 0.0]
+    return min(flying, default=(np.inf, np.inf))
+
+
+def _chi2_about(view: View, source: FrameSource, poses: ClipPoses, other: ClipPoses, run: slice) -> tuple[float, float]:
+    """Chi-square of the clip about a run with the poses, and with the others in the run."""
     merged = _merged(view, poses, other, run, source.times_s)
-    begin, end = max(run.start - WINDOW // 2, 0), min(run.stop + WINDOW // 2, len(both))
-    found = [(np.inf, np.inf)]
-    for ours, theirs, shown, within in (
-        (poses, other, both, (0, len(both))),
-        (poses, merged, poses.known & merged.known & wholly_in_view(view, merged), (begin, end)),
-    ):
-        before, after = (_median_chi2(view, source, one, shown, within) for one in (ours, theirs))
-        if 0.0 < after < FLIGHT_CHI2 and before > 0.0:
-            found.append((after / before, after))
-    return min(found)
+    shown = poses.known & merged.known & wholly_in_view(view, merged)
+    about = max(run.start - WINDOW // 2, 0), min(run.stop + WINDOW // 2, len(shown))
+    before, after = (_median_chi2(view, source, one, shown, about) for one in (poses, merged))
+    return before, after
 
 
 def _median_chi2(view: View, source: FrameSource, poses: ClipPoses, shown: Mask, within: tuple[int, int]) -> float:

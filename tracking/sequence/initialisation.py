@@ -470,7 +470,7 @@ def _moving_hypothesis(
         return None
     candidates = [
         poses,
-        *(_candidates(view, source, int(k), _rate_px_s(view, source, int(k), unused), beside) for k in rows[1:]),
+        *(_candidates(view, source, int(row), _rate_px_s(view, source, int(row), unused), beside) for row in rows[1:]),
     ]
     cheapest = [sorted(some, key=lambda pose: pose.cost)[:MOST_CANDIDATES] for some in candidates]
     motion = motion_of_poses(view, source.times_s[rows], cheapest, FASTEST_M_S)

@@ -28,15 +28,17 @@ class PlacesBeside:
     """(n,)"""
     positions_m: Array
     """(n, 3)"""
-    covariances: Array
+    covariance: Array
     """(n, 3, 3)"""
 
     @staticmethod
     def of(poses: ClipPoses, times_s: Array, rows: Sequence[int], edge_m: float) -> PlacesBeside:
         """The places on some rows of poses that determine them, each taken to err by JUMP_EDGES besides its standard error."""
-        found = covariances(poses.H[list(rows), :6, :6])[:, :3, :3] + (JUMP_EDGES * edge_m) ** 2 * np.eye(3)
-        use = np.flatnonzero(np.isfinite(found[:, 0, 0]))
-        return PlacesBeside(times_s[list(rows)][use], poses.position_m[list(rows)][use], found[use])
+        known = np.array(rows, np.int64)
+        found = covariances(poses.H[known, :6, :6])[:, :3, :3] + (JUMP_EDGES * edge_m) ** 2 * np.eye(3)
+        determined = np.isfinite(found[:, 0, 0])
+        known, found = known[determined], found[determined]
+        return PlacesBeside(times_s[known], poses.position_m[known], found)
 
     def can_lead_to(self, pose: Pose, time_s: float) -> bool:
         """Whether the die can be there at an instant, at FASTEST_M_S at the most."""
@@ -45,5 +47,5 @@ class PlacesBeside:
             return True
         moved_m = FASTEST_M_S * np.abs(time_s - self.times_s)
         away = self.positions_m - pose.position_m
-        C = self.covariances + own + moved_m[:, None, None] ** 2 * np.eye(3)
+        C = self.covariance + own + moved_m[:, None, None] ** 2 * np.eye(3)
         return bool((np.einsum("ni,ni->n", away, np.linalg.solve(C, away[..., None])[..., 0]) < JUMP_CHI2).all())
