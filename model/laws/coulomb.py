@@ -40,7 +40,7 @@ class CoulombImpact:
 
     The fourth, "algebraic" (Chatterjee & Ruina, J. Appl. Mech. 65, 939, 1998), follows no course of the slip. u becomes -χ u,
     and the impulse stops the slip as far as the friction cone allows, with a tangential restitution of 0. It never creates
-    energy, and asks for no contact so stiff that the body moves as a rigid one while the impact lasts.
+    energy. The body need not be rigid while the impact lasts; it must only hardly move.
 
     The first three agree if the slip keeps its direction (Batlle, J. Appl. Mech. 63, 168, 1996). At μ = 0 all four are
     `SmoothImpact`. If the slip stops or turns, Newton's can create energy (Kane & Levinson, Dynamics, 1985): in 2 % of
