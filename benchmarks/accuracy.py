@@ -52,6 +52,8 @@ Flags = NDArray[np.bool_]
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLE = ROOT / "data_samples" / "cube_wood"
 WRONG_DEG, WRONG_M = 5.0, 1e-3
+OTHER_LABEL_DEG = 10.0
+"""Angle from which a pose counts as one of another labelling: tracked poses are within a degree."""
 MATCHED_FRAMES = 1.5
 """A bounce belongs to a true one that is no farther away than this."""
 SEVERAL = -1.0
@@ -174,13 +176,15 @@ def rows_of(track: Track, truth: Truth) -> NDArray[np.int64]:
 
 def body_turn(track: Track, truth: Truth, true_row: NDArray[np.int64], scene: Scene) -> Array:
     """(3, 3) from the true body frame to the tracked one: of all that map the corners onto each other, the one that
-    leaves the smallest median angle."""
+    leaves the smallest mean angle, each counted up to OTHER_LABEL_DEG: where a clip shows several labellings, that of most
+    frames, and of a few frames the one that fits them best."""
     both = track.tracked & truth.visible[true_row]
     if not both.any():
         raise ValueError("no frame that shows the whole die has a pose")
     found, true = matrix_from_quat(track.quaternion[both]), truth.rotation[true_row[both]]
     turns = rotations_onto(truth.vertices_m, scene.die.solid.vertices)
-    return min(turns, key=lambda turn: float(np.median(angle_between(found @ turn, true))))
+    limit = np.radians(OTHER_LABEL_DEG)
+    return min(turns, key=lambda turn: float(np.minimum(angle_between(found @ turn, true), limit).mean()))
 
 
 def rotations_onto(corners: Array, others: Array) -> list[Array]:

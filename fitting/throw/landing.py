@@ -50,12 +50,6 @@ _FLAT_HEIGHT = 0.05
 """Departure of the centre's height from that of a die on its face, in inscribed radii, below which it lies flat."""
 
 
-NOT_TO_REST = (
-    "Landing face not computed: a die with several moments of inertia is followed with friction, or with a restitution that "
-    "fades, from bounce to bounce, but not to its rest."
-)
-
-
 def resting_face(track: Track, die: Die) -> int | None:
     """Number of the face that the die lies on at the end of the track; None unless it lies there flat and at rest.
 
@@ -83,12 +77,11 @@ def resting_face(track: Track, die: Die) -> int | None:
 def continued(physics: Physics, throw: Throw, end_s: float) -> Throw:
     """The throw simulated onward from its last flight until `end_s` on the track's clock.
 
-    Unchanged if the last flight begins with a corner below the table, as a fit through prescribed vertices may, and where the
-    model does not follow the die to its rest.
+    Unchanged if the last flight begins with a corner below the table, as a fit through prescribed vertices may.
     """
     last = throw.flights[-1].start
     until_s = physics.clock * end_s
-    if until_s <= last.time_s or not physics.can_release(last) or not physics.comes_to_rest:
+    if until_s <= last.time_s or not physics.can_release(last):
         return throw
     on = physics.throw(last, Until(time_s=until_s)).throw
     return Throw(throw.flights[:-1] + on.flights, throw.impacts + on.impacts)
@@ -131,8 +124,6 @@ def landing_odds(
 
     `covariance` (12 + k, 12 + k) is that of `initial` and the free parameters; `vertices` are the fitted impacts.
     """
-    if not physics.comes_to_rest:
-        return None, None, (NOT_TO_REST,)
     rng = np.random.default_rng(0)
     spread = covariance_root(covariance)
     landed: Counter[int] = Counter()

@@ -45,7 +45,6 @@ from ...model.throw import (
     Action,
     BodyKind,
     Door,
-    Impact,
     Propagation,
     State,
     ThrowResult,
@@ -119,8 +118,6 @@ _MAX_OFFSET = 0.5
 _MAX_CORNER_RADIUS = 0.9
 """Largest corner radius, in inscribed radii: at 1 the die is a sphere."""
 
-_BISECTIONS = 12
-"""Throws by which the end of the bounces is found of a die that is not followed to its rest."""
 
 _LEAST_LARGEST = 0.02
 """The largest corner radius of a solid, in inscribed radii, below which rounded corners are no effect of it."""
@@ -236,11 +233,6 @@ class Physics:
     def can_be_thrown_with(self, effect: str) -> bool:
         """Whether throws can combine an effect with those in use, and with the die, from the release to rest."""
         return self._is_supported(Door.THROW, {*self.effects, effect})
-
-    @property
-    def comes_to_rest(self) -> bool:
-        """Whether the model follows throws of this die with these effects to their rest, not only from bounce to bounce."""
-        return self._is_supported(Door.THROW, {*self.effects})
 
     @property
     def drag_per_m(self) -> float:
@@ -429,8 +421,6 @@ class Physics:
 
     def _run_asymmetric(self, start: State, end_s: float, impacts: int, precision: engine.Precision) -> Run:
         """The same for a loaded die, or one with several moments of inertia."""
-        if not self.comes_to_rest:
-            return self._run_bounces(start, end_s)
         law = engine.law_of(self.law.code, self.law.parameters)
         if needs_asymmetric_kernels(body_kind(self.body), law):
             motion = throw_asymmetric_die(
@@ -448,22 +438,6 @@ class Physics:
         result = self.throw(start, until)
         vertices_hit = [impact.vertices[0] if impact.vertices else -1 for impact in result.throw.impacts]
         return Run(np.array(vertices_hit, int), result.landed_face)
-
-    def _run_bounces(self, start: State, end_s: float) -> Run:
-        """The same until an instant, from bounce to bounce; where they follow each other without end before, until shortly
-        before that."""
-        found: tuple[Impact, ...] = ()
-        low, high = float(start.time_s), end_s
-        for _ in range(_BISECTIONS):
-            until_s = high if high == end_s and not found else 0.5 * (low + high)
-            try:
-                found = propagate(self.body, start, self.law, [until_s], table=self.plane, parameters=()).throw.impacts
-                low = until_s
-            except ValueError:
-                high = until_s if until_s < high else 0.5 * (low + high)
-            if low == end_s:
-                break
-        return Run(np.array([impact.vertices[0] for impact in found], int), None)
 
     def _packed(self, start: State) -> Array | None:
         """A start as the event loop takes it (13,); None where a vertex lies below the table."""

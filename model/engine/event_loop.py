@@ -37,6 +37,7 @@ from .impact import (
     touching_set,
     without_held,
 )
+from .inertia import move_freely
 from .log import bits_of, bits_of_rows, copy_to, state_after, with_knot, with_room, write_event
 from .rest import (
     MAX_ZERO_STEPS,
@@ -48,7 +49,7 @@ from .rest import (
     spins_forever,
     timeout_s,
 )
-from .sliding_contact import FRICTION_STANDING_HEIGHT, FRICTION_STEP_PART, follow_sliding_contact, move_freely
+from .sliding_contact import FRICTION_STANDING_HEIGHT, FRICTION_STEP_PART, follow_sliding_contact
 from .types import (
     APPROACHING,
     FALSE,

@@ -78,39 +78,6 @@ STOP_TERMS = 10.0
 
 
 @compiled
-def spherical_contact_matrix(mass: float, inertia: float, x: float, y: float, z: float) -> Matrix6:
-    """Contact matrix M [1/kg] of a die with one moment of inertia, for a contact at (x, y, z) [m] from its centre of mass."""
-    free = 1.0 / mass
-    return (
-        free + (y * y + z * z) / inertia,
-        -x * y / inertia,
-        -x * z / inertia,
-        free + (x * x + z * z) / inertia,
-        -y * z / inertia,
-        free + (x * x + y * y) / inertia,
-    )
-
-
-@compiled
-def contact_matrix(mass: float, inverse_inertia: Array, x: float, y: float, z: float) -> Matrix6:
-    """The same for any body; `inverse_inertia` (3, 3) [1/(kg m²)] in world axes: M = 1/m - [r]× I⁻¹ [r]×."""
-    i = inverse_inertia
-    # The columns A, B, C of I⁻¹ [r]×, as far as [r]× in front of them asks for them.
-    ay, az = i[1, 1] * z - i[1, 2] * y, i[1, 2] * z - i[2, 2] * y
-    bx, by, bz = i[0, 2] * x - i[0, 0] * z, i[1, 2] * x - i[0, 1] * z, i[2, 2] * x - i[0, 2] * z
-    cx, cy, cz = i[0, 0] * y - i[0, 1] * x, i[0, 1] * y - i[1, 1] * x, i[0, 2] * y - i[1, 2] * x
-    free = 1.0 / mass
-    return (
-        free + z * ay - y * az,
-        z * by - y * bz,
-        z * cy - y * cz,
-        free + x * bz - z * bx,
-        x * cz - z * cx,
-        free + y * cx - x * cy,
-    )
-
-
-@compiled
 def coefficient_at_speed(slowest: float, speed: float, speed_scale: float, exponent: float) -> float:
     """χ or μ of an impact at `speed` ≥ 0 [m/s], from that of the slowest: χ₀ (1 + speed/scale)^-exponent."""
     return float(slowest * (1.0 + speed / speed_scale) ** -exponent)

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from ..compiled import compiled, inner
 from .flight import lever_arm, table_height, table_velocity
-from .friction_impulse import coefficient_at_speed, friction_impulse, spherical_contact_matrix
+from .friction_impulse import coefficient_at_speed, friction_impulse
+from .inertia import spherical_contact_matrix
 from .types import (
     COULOMB,
     COULOMB_BY_SPEED,

@@ -8,12 +8,15 @@ die, so that with friction the whole of it counts.
 from __future__ import annotations
 
 from math import inf, sqrt
+from typing import Any
 
 import numpy as np
+from numba.extending import overload
 
 from ..compiled import compiled, inner
 from .flight import lever_arm
-from .types import Array, Body, Law, Plane, Precision, has_friction
+from .inertia import to_body_axes, vertical_in_body
+from .types import Array, AsymmetricBody, Body, Law, Plane, Precision, has_friction
 
 TIMEOUT = 1000.0
 """A throw is given up as spinning after this many √(R/g) without the energy to stand up and more, where no proof shows that it
@@ -90,8 +93,14 @@ def is_energetic(body: Body, plane: Plane, state: Array) -> bool:
 @compiled
 def decided_face(body: Body, law: Law, plane: Plane, state: Array) -> int:
     """Row of the face that the die can no longer leave, or -1."""
+    return _face_held_by_energy(body, plane, state, has_friction(law))
+
+
+@inner
+def _face_held_by_energy(body: Body, plane: Plane, state: Array, rough: bool) -> int:
+    """`decided_face` with friction or without."""
     energy = energy_per_mass(body, plane, state)
-    if has_friction(law):
+    if rough:
         if plane.gx != 0.0 or plane.gy != 0.0:
             return -1  # the slope goes on feeding the slip, so that only a die at rest has landed
         energy += 0.5 * (state[7] * state[7] + state[8] * state[8])
@@ -100,6 +109,54 @@ def decided_face(body: Body, law: Law, plane: Plane, state: Array) -> int:
         return -1  # no edge is farther from the centre than a corner
     face = lowest_face_row(body.plumb_normals, state)
     return face if energy < plane.g * body.barrier_heights[face] else -1
+
+
+@inner
+def plumb_face_row(body: AsymmetricBody, state: Array) -> int:
+    """Row of the face of an asymmetric body that the plumb line from its centre of mass goes through."""
+    x, y, z = vertical_in_body(state)
+    face, best = 0, -inf
+    for k in range(body.normals.shape[0]):
+        down = -(body.normals[k, 0] * x + body.normals[k, 1] * y + body.normals[k, 2] * z) / body.offsets[k]
+        if down > best:
+            face, best = k, down
+    return face
+
+
+@inner
+def _decided_asymmetric(body: AsymmetricBody, plane: Plane, state: Array) -> int:
+    """`decided_with_friction` of an asymmetric body: it must lift its centre of mass over an edge of its face."""
+    if plane.gx != 0.0 or plane.gy != 0.0:
+        return -1
+    p, q, r = to_body_axes(state, state[10], state[11], state[12])
+    energy = plane.g * state[2] + 0.5 * (state[7] * state[7] + state[8] * state[8] + state[9] * state[9])
+    energy += 0.5 * (body.moments[0] * p * p + body.moments[1] * q * q + body.moments[2] * r * r) / body.mass
+    face = plumb_face_row(body, state)
+    for e in range(body.edge_faces.shape[0]):
+        is_beside = body.edge_faces[e, 0] == face or body.edge_faces[e, 1] == face
+        if is_beside and energy >= plane.g * body.edge_heights[e]:
+            return -1
+    return face
+
+
+@inner
+def _decided_even(body: Body, plane: Plane, state: Array) -> int:
+    """`decided_with_friction` of a die with one moment of inertia."""
+    return _face_held_by_energy(body, plane, state, True)
+
+
+def decided_with_friction(body: Body | AsymmetricBody, plane: Plane, state: Array) -> int:
+    """Row of the face that a die can no longer leave where friction may turn all of its energy into what lifts it, or -1. The
+    state (13,) has ω."""
+    if isinstance(body, AsymmetricBody):
+        return int(_decided_asymmetric(body, plane, state))
+    return int(_decided_even(body, plane, state))
+
+
+@overload(decided_with_friction, strict=False)
+def _decided_with_friction(body: Any, plane: Any, state: Any) -> Any:
+    """The branch that the type of the body asks for, chosen when it is compiled."""
+    return (_decided_asymmetric if body.instance_class is AsymmetricBody else _decided_even).py_func
 
 
 @inner

@@ -17,10 +17,11 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from ..compiled import compiled, inner
-from .flight import advance, clearance, lever_arm, spin_rate, table_height, table_velocity
-from .friction_impulse import slide_direction, spherical_contact_matrix
+from .flight import clearance, lever_arm, spin_rate, table_height, table_velocity
+from .friction_impulse import slide_direction
+from .inertia import TURN_SIZE, EvenInertia, TensorInertia, apply_impulse, carry_freely, inertia_of, matrix_at
 from .log import copy_to, with_knot
-from .rest import decided_face
+from .rest import decided_with_friction
 from .types import (
     BALANCED,
     NOT_ENDED,
@@ -28,7 +29,6 @@ from .types import (
     ROUNDING_BOUND,
     TIME_REACHED,
     Array,
-    Body,
     Knots,
     Matrix6,
     Plane,
@@ -195,9 +195,11 @@ class FrictionalCorners(NamedTuple):
 class SlidingBody(NamedTuple):
     """A die with corners that stick or slide on the table."""
 
-    body: Body
+    body: Any
+    """Body or AsymmetricBody."""
     mu: float
-    plane: Plane
+    plane: Any
+    """Plane or PlaneInAir."""
     active: NDArray[np.bool_]
     """(vertices,) which of them are in contact."""
 
@@ -211,14 +213,22 @@ class SlidingRoom(NamedTuple):
     """(vertices, 3) [N] first guess of the forces."""
     impulses: Array
     """(vertices, 3) [N s] that were found."""
+    stages: Array
+    """(14, TURN_SIZE) of the free rotation."""
+
+
+@inner
+def room_to_slide(vertices: int) -> SlidingRoom:
+    """Room for a step of a die with so many vertices."""
+    corners = np.zeros((3, vertices, 3))
+    return SlidingRoom(corners[0], corners[1], corners[2], np.empty((14, TURN_SIZE)))
 
 
 @compiled
 def friction_step(
     velocity: Array,
     corners: FrictionalCorners,
-    mass: float,
-    inertia: float,
+    inertia: EvenInertia | TensorInertia,
     push: Array,
     sweep_tolerance: float = 1e-12,
 ) -> int:
@@ -241,13 +251,13 @@ def friction_step(
         cx, cy, cz = _velocity_at(velocity, arms[i])
         size = max(size, abs(cx) + abs(cy) + abs(cz))
     for i in range(n):
-        _apply_impulse(velocity, arms[i], mass, inertia, impulses[i, 0], impulses[i, 1], impulses[i, 2])
+        apply_impulse(velocity, arms[i], inertia, impulses[i, 0], impulses[i, 1], impulses[i, 2])
     sweeps, changed = 0, inf
     while changed > sweep_tolerance * size and sweeps < MAX_SWEEPS:
         changed = 0.0
         part = 1.0 if sweeps < UNDAMPED_SWEEPS else (DAMPING if sweeps < LIGHTLY_DAMPED_SWEEPS else STRONG_DAMPING)
         for i in range(n):
-            matrix = spherical_contact_matrix(mass, inertia, arms[i, 0], arms[i, 1], arms[i, 2])
+            matrix = matrix_at(inertia, arms[i, 0], arms[i, 1], arms[i, 2])
             xx, xy, xz, yy, yz, zz = matrix
             x, y, z = impulses[i]
             cx, cy, cz = _velocity_at(velocity, arms[i])
@@ -256,7 +266,7 @@ def friction_step(
             sx, sy, sz = inelastic_impulse(matrix, mu, cx, cy, cz)
             sx, sy, sz = x + part * (sx - x), y + part * (sy - y), z + part * (sz - z)
             impulses[i, 0], impulses[i, 1], impulses[i, 2] = sx, sy, sz
-            _apply_impulse(velocity, arms[i], mass, inertia, sx - x, sy - y, sz - z)
+            apply_impulse(velocity, arms[i], inertia, sx - x, sy - y, sz - z)
             changed = max(changed, max(xx, yy, zz) * max(abs(sx - x), abs(sy - y), abs(sz - z)))
         sweeps += 1
     if _sticks(velocity, corners, STICKING_SPEED * size):
@@ -274,17 +284,6 @@ def _velocity_at(velocity: Array, arm: Array) -> tuple[float, float, float]:
         velocity[1] + velocity[5] * arm[0] - velocity[3] * arm[2],
         velocity[2] + velocity[3] * arm[1] - velocity[4] * arm[0],
     )
-
-
-@inner
-def _apply_impulse(velocity: Array, arm: Array, mass: float, inertia: float, sx: float, sy: float, sz: float) -> None:
-    """Δv = S/m, Δω = r × S/J, in place."""
-    velocity[0] += sx / mass
-    velocity[1] += sy / mass
-    velocity[2] += sz / mass
-    velocity[3] += (arm[1] * sz - arm[2] * sy) / inertia
-    velocity[4] += (arm[2] * sx - arm[0] * sz) / inertia
-    velocity[5] += (arm[0] * sy - arm[1] * sx) / inertia
 
 
 @inner
@@ -306,14 +305,6 @@ def _sticks(velocity: Array, corners: FrictionalCorners, slow: float) -> bool:
             if abs(ax * by - ay * bx) > COLLINEAR * hypot(ax, ay) * hypot(bx, by):
                 return True
     return False
-
-
-@compiled
-def move_freely(state: Array, dt: float) -> None:
-    """Carry the pose along its velocities over dt [s], in place, without any force."""
-    height_velocity = state[9]
-    advance(state, spin_rate(state), dt, Plane(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-    state[9] = height_velocity
 
 
 @inner
@@ -374,9 +365,9 @@ def sliding_step(
     The die goes half the way with the old velocities, gets the impulses there, and goes the other half with the new ones.
     """
     body, mu, plane, active = sliding
-    arms, guess, impulses = room
+    arms, guess, impulses, stages = room
     copy_to(after, state)
-    move_freely(after, 0.5 * dt)
+    carry_freely(body, after, 0.5 * dt, stages)
     n = 0
     for k in range(active.shape[0]):
         if active[k]:
@@ -391,10 +382,10 @@ def sliding_step(
         for m in range(3):
             impulses[k, m] = guess[k, m] * dt
     corners = FrictionalCorners(arms[:n], impulses[:n], mu, table_velocity(plane, time + dt))
-    friction_step(velocity, corners, body.mass, body.inertia, push, sweep_tolerance)
+    friction_step(velocity, corners, inertia_of(body, after), push, sweep_tolerance)
     for k in range(6):
         after[7 + k] = velocity[k]
-    move_freely(after, 0.5 * dt)
+    carry_freely(body, after, 0.5 * dt, stages)
     pressing = 0
     lowest, z_table = inf, table_height(plane, time + dt)
     for k in range(n):
@@ -421,10 +412,10 @@ def rides_forever(sliding: SlidingBody, state: Array, time: float, dt: float, sw
     least = least_weight(plane)
     if least <= 0.0:
         return False
-    resting, after, room = state.copy(), np.empty(13), np.zeros((3, body.vertices.shape[0], 3))
+    resting, after, room = state.copy(), np.empty(13), room_to_slide(body.vertices.shape[0])
     resting[9] = 0.0
     at_rest = SlidingBody(body, mu, Plane(plane.gx, plane.gy, least, 0.0, 0.0, 0.0), active)
-    pressing = sliding_step(at_rest, resting, time, dt, SlidingRoom(room[0], room[1], room[2]), after, sweep_tolerance)
+    pressing = sliding_step(at_rest, resting, time, dt, room, after, sweep_tolerance)
     return pressing >= 3 and not after[7:13].any()
 
 
@@ -442,14 +433,13 @@ def follow_frictional_contact(
     """`follow_sliding_contact` for a law with friction."""
     body, law, plane, precision = setup
     sliding, tolerance = SlidingBody(body, law.parameters[1], plane, active), precision.sweep_tolerance
-    begin, after, arms = time, np.empty(13), np.zeros((body.vertices.shape[0], 3))
-    impulses, guess = np.zeros(arms.shape), np.zeros(arms.shape)
-    room = SlidingRoom(arms, guess, impulses)
+    begin, after, room = time, np.empty(13), room_to_slide(body.vertices.shape[0])
+    guess, impulses = room.guess, room.impulses
     fixed = plane.amplitude == 0.0
     peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
     while True:
         knots = with_knot(knots, time, state)
-        if stop_when_decided and fixed and decided_face(body, law, plane, state) >= 0:
+        if stop_when_decided and fixed and decided_with_friction(body, plane, state) >= 0:
             return RESTED, time - begin, -1, knots
         rate = (
             spin_rate(state) + sqrt((plane.g + peak_table_acceleration) / body.radius) + (0.0 if fixed else plane.rate)
@@ -464,7 +454,7 @@ def follow_frictional_contact(
         if open_end and not fixed and pressing >= 3 and rides_forever(sliding, after, time + dt, dt, tolerance):
             copy_to(state, after)
             return RESTED, time + dt - begin, -1, knots
-        hit = deepest_free_vertex(body, plane, after, time + dt, active)
+        hit = deepest_free_vertex(sliding, state, after, time, dt)
         if hit >= 0:
             # False position (Illinois) takes five to eleven steps where halving takes forty. The bracket is halved after another
             # vertex has become the deepest, whose height before is unknown, and where false position has not closed it for long.
@@ -481,7 +471,7 @@ def follow_frictional_contact(
                     middle = low + (high - low) * weigh_low * h_low / (weigh_low * h_low - weigh_high * h_high)
                 sliding_step(sliding, state, time, middle, room, after, tolerance)
                 guess[:] = impulses / middle
-                found = deepest_free_vertex(body, plane, after, time + middle, active)
+                found = deepest_free_vertex(sliding, state, after, time, middle)
                 if found >= 0:
                     h_low, stayed = h_low if found == hit else nan, max(stayed, 0) + 1
                     h_high = clearance(body.vertices[found], after, table_height(plane, time + middle))
@@ -547,14 +537,17 @@ def _follow_sliding_contact_of(
 
 
 @inner
-def deepest_free_vertex(body: Body, plane: Plane, state: Array, time: float, active: NDArray[np.bool_]) -> int:
-    """The deepest vertex below the table of those that are not active and sink; -1 where there is none."""
+def deepest_free_vertex(sliding: SlidingBody, state: Array, after: Array, time: float, dt: float) -> int:
+    """The deepest vertex below the table after dt [s] of those that are not active and sink; -1 where there is none.
+
+    What sinks is told by the heights at both ends of the step: the velocity at its end is that of the pose that turns on without
+    forces, and by half of a step's centripetal acceleration too large."""
+    body, _, plane, active = sliding
     deepest, hit = 0.0, -1
-    z_table, v_table = table_height(plane, time), table_velocity(plane, time)
+    z_before, z_after = table_height(plane, time), table_height(plane, time + dt)
     for k in range(body.vertices.shape[0]):
         if not active[k]:
-            x, y, z = lever_arm(body.vertices[k], state)
-            h = state[2] + z - z_table
-            if h < deepest and state[9] + state[10] * y - state[11] * x < v_table:
+            h = clearance(body.vertices[k], after, z_after)
+            if h < deepest and h < clearance(body.vertices[k], state, z_before):
                 deepest, hit = h, k
     return hit

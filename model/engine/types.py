@@ -107,6 +107,8 @@ SMOOTH, COULOMB, SMOOTH_BY_SPEED, COULOMB_BY_SPEED, COULOMB_FADING = 0, 1, 2, 3,
 """Codes of the laws. Parameters: (χ), (χ, μ, ending), (χ₀, speed scale, exponent), (χ₀, μ, ending, scale, exponent), and
 of the last (χ₀, μ₀, ending, scale and exponent of χ, scale and exponent of μ)."""
 
+LAW_CODES = (SMOOTH, COULOMB, SMOOTH_BY_SPEED, COULOMB_BY_SPEED, COULOMB_FADING)
+
 NEWTON, POISSON, STRONGE, ALGEBRAIC = 0, 1, 2, 3
 """What ends an impact with friction: the ratio of normal velocities, of impulses, or of works; or the impulse as a whole, which
 no course of the slip leads to (`friction_impulse.algebraic_impulse`)."""
@@ -288,6 +290,9 @@ class Knots(NamedTuple):
 
 NONE = int64(-1)
 """No vertex, no event."""
+
+SLIDING = int64(-3)
+"""The j of a contact with friction."""
 
 FORCE_I, FORCE_J, NO_EVENT = int64(-1), int64(-2), int64(-3)
 """Events of held contact besides the touch of a vertex, which goes by its number: the force on vertex i or j vanishes."""

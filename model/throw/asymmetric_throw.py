@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..die import Die
-from ..engine import FINE, LEVEL, NO_LIMIT, SMOOTH, AsymmetricBody, Law, Limits, Plane, Precision, Setup
+from ..engine import FINE, LAW_CODES, LEVEL, NO_LIMIT, AsymmetricBody, Law, Limits, Plane, Precision, Setup
 from ..engine.asymmetric import asymmetric_states_at, run_asymmetric_throw
 from ..errors import InputError
 from ..rotations import matrix_from_quat, quat_conjugate, quat_multiply
@@ -93,12 +93,11 @@ def throw_asymmetric_die(
 ) -> AsymmetricThrow:
     """Follow any die, spherical top or not, from its release until its face is decided or a limit is reached.
 
-    `release` has position and velocity of the centroid, in the table's axes. `law` is the smooth impact (`engine.SMOOTH`); other
-    laws raise ValueError. `duration_s` counts from the release. Raises ValueError as `packed_state` does, and for a release
-    below the table.
+    `release` has position and velocity of the centroid, in the table's axes. `duration_s` counts from the release. Raises
+    ValueError as `packed_state` does, for a release below the table, and for a law that no code names.
     """
-    if law.code != SMOOTH:
-        raise InputError(f"law {law.code} by the kernels of asymmetric dice: wanted the smooth impact, {SMOOTH}")
+    if law.code not in LAW_CODES:
+        raise InputError(f"law {law.code} by the kernels of asymmetric dice: wanted one of the codes {LAW_CODES}")
     plane = Plane(*(float(value) for value in plane))  # kernels are compiled for floats
     body, body_from_principal = asymmetric_body_of(die)
     start = packed_state(centre_of_mass_state(die, release))

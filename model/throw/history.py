@@ -29,7 +29,7 @@ Pair = tuple[int, int]
 HELD_FACE = -2
 """Second contact number of a row from which on the lowest face is held; the first is one of its vertices."""
 
-HELD_WITH_FRICTION = -3
+HELD_WITH_FRICTION = int(engine.SLIDING)
 """Second contact number of a row from which on vertices are held with friction; the first has a bit set for each of them."""
 
 FREE: Pair = (-1, -1)

@@ -228,4 +228,5 @@ def _throw_asymmetric(
     )
     capped = motion.code == engine.IMPACT_CAP and cap == BOUNCING_CAP
     ending = Ending.BOUNCING if capped else ENDINGS[motion.code]
-    return ThrowResult(throw_from_asymmetric(motion, release, table), ending, motion.landed_face)
+    in_turn = bool((motion.log[:, 23] < 0.0).any())
+    return ThrowResult(throw_from_asymmetric(motion, release, table), ending, motion.landed_face, in_turn)

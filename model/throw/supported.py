@@ -39,7 +39,7 @@ class Door(Enum):
 _IMPACTS = frozenset({Action.FRICTION, Action.RESTITUTION_BY_SPEED, Action.FRICTION_BY_SPEED})
 _NOTHING: frozenset[Action] = frozenset()
 SUPPORTED: dict[Door, dict[BodyKind, frozenset[Action]]] = {
-    Door.THROW: {BodyKind.CENTRED: _IMPACTS | {Action.DRAG}, BodyKind.LOADED: _IMPACTS, BodyKind.ASYMMETRIC: _NOTHING},
+    Door.THROW: {BodyKind.CENTRED: _IMPACTS | {Action.DRAG}, BodyKind.LOADED: _IMPACTS, BodyKind.ASYMMETRIC: _IMPACTS},
     Door.DERIVATIVES: {
         BodyKind.CENTRED: frozenset({Action.FRICTION, Action.RESTITUTION_BY_SPEED, Action.DRAG}),
         BodyKind.LOADED: frozenset({Action.FRICTION, Action.RESTITUTION_BY_SPEED}),

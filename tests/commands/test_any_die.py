@@ -22,7 +22,7 @@ from diethrow.files.scene import read_scene
 from diethrow.model.die import Die, die_from_solid, symmetry_rotations
 from diethrow.model.laws import CoulombImpact, SmoothImpact
 from diethrow.model.rotations import angle_between, quat_from_matrix, quat_multiply
-from diethrow.model.throw import State, Throw, propagate
+from diethrow.model.throw import State, Throw, Until, throw_die
 
 CHI = 0.55
 ROOM = replace(studio(260, 260), noise_grey=2.0)
@@ -81,8 +81,7 @@ def thrown(die: Die, seed: int, mu: float | None) -> Throw:
         20.0 * rng.normal(size=3),
     )
     law = SmoothImpact(CHI) if mu is None else CoulombImpact(CHI, mu)
-    # From bounce to bounce: with friction such dice are not followed to their rest.
-    return propagate(die, release, law, [DURATION_S], parameters=()).throw
+    return throw_die(die, release, law, until=Until(time_s=DURATION_S)).throw
 
 
 @cache
@@ -118,7 +117,7 @@ def test_a_die_of_any_shape_is_tracked_and_its_throw_fitted(kind: str) -> None:
     mu = found.result.parameters["mu"]
     assert mu.low < FRICTION[kind] < mu.high
     assert abs(mu.value - FRICTION[kind]) < 0.05
-    assert found.result.face_odds is None
+    assert found.result.landed_face is not None or sum(found.result.face_odds.values()) == pytest.approx(1.0)
 
 
 def test_a_die_with_several_moments_does_not_turn_evenly() -> None:

@@ -14,9 +14,11 @@ instant inside a step is reached by a shorter step from the same beginning, so t
 equations, and Σ ωⱼ²ωₖ² ≤ ω⁴/3). Stepping by the root of the parabola h + h' s - M s²/2 passes no touch.
 
 **Impact.** Smooth: the vertical velocity v of the vertex relative to the table becomes -χ v by the impulse
-S = -(1 + χ) v/(1/m + t·I⁻¹ t) with t = r × ẑ; then Δv_z = S/m and ΔL = S t.
+S = -(1 + χ) v/(1/m + t·I⁻¹ t) with t = r × ẑ; then Δv_z = S/m and ΔL = S t. With friction the impulse is that of
+`friction_impulse` with the contact matrix of W = R I⁻¹ Rᵀ, one vertex after the other where several touch, and lasting contact is
+that of `sliding_contact`, between whose impulses the die turns by Euler's equations.
 
-**Held contact.** Bounces slower than `Precision.slowest_bounce` √(g R) end on the table. The vertical forces N on one or two held
+**Held contact without friction.** Bounces slower than `Precision.slowest_bounce` √(g R) end on the table. The vertical forces N on one or two held
 vertices obey A N = -b, where Aᵢⱼ = 1/m + tᵢ·I⁻¹ tⱼ, and b are the vertical accelerations of the vertices without forces. Of all
 vertices on the table those are held for which N ≥ 0 and the accelerations ≥ 0 are complementary, found by trying none, one and
 two of them. If no such choice exists, the die lies on a face. A vertex is released when its force would pull. Between, the same
@@ -28,7 +30,8 @@ table. Lifting the die by b is another such change, so that |Δz''| ≤ b and |�
 E = m g z + m v_z²/2 + T never grows. To leave the face that the plumb line from the centre of mass pierces, the die must pass
 an attitude where that line goes through one of its edges. The centre is then at least as high as the edge is far from it, d, and
 u lies on the arc over that edge. So the face is decided once E < m g d + L_z²/(2 max u·I u) for each of its edges. A die that
-lies on a face and is pressed there at rest is decided too, however fast it spins.
+lies on a face and is pressed there at rest is decided too, however fast it spins. With friction L_z is not constant, and the face
+is decided once all of the energy, that of the horizontal velocity too, is less than m g d.
 
 **Spinning.** Where a vertex lies on an axis of symmetry of the inertia, as the tip of a dipyramid does, its forces have no moment
 about that axis, and the angular momentum along it, L_a, is constant while no other vertex touches. With the moments I along the

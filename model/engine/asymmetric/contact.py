@@ -8,9 +8,9 @@ from __future__ import annotations
 from math import asin, ceil, inf, pi, sqrt
 
 from ...compiled import inner
-from ..attitude import body_angular_velocity, to_table_axes, vertical_in_body
 from ..flight import table_height, table_velocity
-from ..rest import MARGIN_OF_PROOF, lowest_face_row
+from ..inertia import body_angular_velocity, to_table_axes, vertical_in_body
+from ..rest import MARGIN_OF_PROOF, lowest_face_row, plumb_face_row
 from ..types import APPROACHING, ROUNDING_BOUND, STANDING_HEIGHT, Array, AsymmetricBody, Contact, Indices, Plane
 from .motion import clearance, free_acceleration, response, rotational_energy, unit_torque, vertex_velocity
 
@@ -149,25 +149,33 @@ def solve_complementarity(
 
 
 @inner
-def simultaneous_impact(
-    contact: Contact, y: Array, time: float, velocity: float, chi: float, chosen: Indices, room: Array
-) -> float:
-    """The smooth impact, in place, of the vertex that `contact` holds and of all that touch at the same instant.
+def struck_together(contact: Contact, y: Array, time: float, velocity: float, chosen: Indices) -> tuple[int, float]:
+    """The vertex that `contact` holds and all that touch and approach at the same instant, into `chosen`: their number and bits.
 
-    `velocity` [m/s] is that of the vertex. Returns the bits of the vertices, 0 where it is the only one."""
+    `velocity` [m/s] is that of the vertex."""
+    body, plane, hit, _ = contact
+    n, bits = 0, 0.0
+    for k in range(body.vertices.shape[0]):
+        is_low = clearance(body, plane, y, time, k) <= STANDING_HEIGHT * body.radius
+        if k == hit or (is_low and vertex_velocity(body, plane, y, time, k) <= APPROACHING * velocity):
+            chosen[n] = k
+            bits += 2.0**k
+            n += 1
+    return n, bits
+
+
+@inner
+def simultaneous_impact(
+    contact: Contact, y: Array, time: float, velocity: float, chi: float, chosen: Indices, n: int, room: Array
+) -> None:
+    """The smooth impact, in place, of the vertex that `contact` holds, with `velocity` [m/s], and of all n that touch with it."""
     body, plane, hit, _ = contact
     w, pushes = room[0], room[1]
-    n, struck = 0, 0.0
-    for k in range(body.vertices.shape[0]):
-        u = vertex_velocity(body, plane, y, time, k)
-        is_low = clearance(body, plane, y, time, k) <= STANDING_HEIGHT * body.radius
-        if k == hit or (is_low and u <= APPROACHING * velocity):
-            chosen[n], w[n] = k, u
-            struck += 2.0**k
-            n += 1
     if n == 1:
         apply_vertical_impulse(body, y, hit, -(1.0 + chi) * velocity / response(body, y, hit, hit))
-        return 0.0
+        return
+    for k in range(n):
+        w[k] = vertex_velocity(body, plane, y, time, chosen[k])
     if solve_complementarity(body, y, chosen, n, w, APPROACHING * abs(velocity), pushes):
         for k in range(n):
             apply_vertical_impulse(body, y, chosen[k], (1.0 + chi) * pushes[k])
@@ -177,7 +185,6 @@ def simultaneous_impact(
         y[9] += chi * (y[9] - a)
         y[10] += chi * (y[10] - b)
         y[11] += chi * (y[11] - c)
-    return struck
 
 
 @inner
@@ -237,12 +244,7 @@ def resolve_contacts(
 @inner
 def decided_face(body: AsymmetricBody, plane: Plane, y: Array) -> int:
     """Row of the face that the die can no longer leave, or -1, on a table at rest."""
-    x, z, v = vertical_in_body(y)
-    face, best = 0, -inf
-    for k in range(body.normals.shape[0]):
-        down = -(body.normals[k, 0] * x + body.normals[k, 1] * z + body.normals[k, 2] * v) / body.offsets[k]
-        if down > best:
-            face, best = k, down
+    face = plumb_face_row(body, y)
     energy = body.mass * (plane.g * y[2] + 0.5 * y[9] * y[9]) + rotational_energy(body, y)
     for e in range(body.edge_faces.shape[0]):
         if body.edge_faces[e, 0] == face or body.edge_faces[e, 1] == face:

@@ -9,11 +9,14 @@ from __future__ import annotations
 from math import inf, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...compiled import compiled, inner
-from ..attitude import to_angular_momentum, to_angular_velocity
-from ..log import with_knot, with_room, write_event
-from ..rest import MAX_ZERO_STEPS, TIMEOUT, chatter_speed, nudge_s
+from ..impact import without_held
+from ..inertia import carry_freely, to_angular_momentum, to_angular_velocity
+from ..log import bits_of, bits_of_rows, copy_to, with_knot, with_room, write_event
+from ..rest import MAX_ZERO_STEPS, TIMEOUT, chatter_speed, decided_with_friction, nudge_s, plumb_face_row
+from ..sliding_contact import FRICTION_STANDING_HEIGHT, FRICTION_STEP_PART, follow_sliding_contact
 from ..types import (
     BALANCED,
     IMPACT_CAP,
@@ -24,6 +27,7 @@ from ..types import (
     NOT_ENDED,
     RESTED,
     ROUNDING_BOUND,
+    SLIDING,
     SPINNING,
     TIME_REACHED,
     TIMED_OUT,
@@ -36,6 +40,7 @@ from ..types import (
     Plane,
     Precision,
     Setup,
+    has_friction,
 )
 from .contact import (
     decided_face,
@@ -43,10 +48,11 @@ from .contact import (
     lay_on_face,
     project_on_contact,
     resolve_contacts,
-    simultaneous_impact,
     spin_growth_bound,
     spins_forever,
+    struck_together,
 )
+from .impact import strike
 from .motion import (
     MAX_TURN_RAD,
     clearance,
@@ -84,8 +90,9 @@ RELEASE_BISECTIONS = 60
 FIRST_ROWS = 64
 """Rows of the log, and of the knots, that are allocated first; doubled where they are used up."""
 
-_FLIGHT_STEP, _RELEASED = -1, -2
-"""What ends a step that no touch ends: its length, or a held vertex that is no longer pressed."""
+_FLIGHT_STEP, _RELEASED, _LEFT = -1, -2, -3
+"""What ends a step that no touch ends: its length, a held vertex that is no longer pressed, or the last sliding vertex that
+leaves the table."""
 
 
 @inner
@@ -196,11 +203,28 @@ def next_event(
         t = min(t + step, longest)
 
 
+@inner
+def touch_to_slide(setup: Setup, y: Array, time: float, hit: int, slow: float, active: NDArray[np.bool_]) -> int:
+    """Fill `active` with the vertices that are on the table and do not leave it, and `hit`; returns the first of them.
+
+    The steps of sliding contact leave the normal velocities right to first order only."""
+    body, _, plane, precision = setup
+    near = FRICTION_STANDING_HEIGHT * body.radius
+    rate = sqrt(2.0 * rotational_energy(body, y) / body.moments[0]) + sqrt(plane.g / body.radius)
+    leaving = max(slow, FRICTION_STEP_PART * precision.step_turn * rate * body.radius)
+    first = NONE
+    for k in range(active.shape[0]):
+        is_low = clearance(body, plane, y, time, k) <= near
+        active[k] = k == hit or (is_low and vertex_velocity(body, plane, y, time, k) <= leaving)
+        first = k if active[k] and first < 0 else first
+    return first
+
+
 @compiled
 def run_asymmetric_throw(
     setup: Setup, start: Array, start_time: float, limits: Limits, keep: bool
 ) -> tuple[int, int, int, float, Array, Array, Array]:
-    """As `engine.run_throw`, for smooth impacts. No argument is changed.
+    """As `engine.run_throw`. No argument is changed.
 
     `start` (13,) and all states have the position of the centre of mass, the quaternion of the principal axes, and ω. There
     is a knot at the beginning of each step, in flight as well; the event that began the motion is -1 for the release.
@@ -212,18 +236,23 @@ def run_asymmetric_throw(
     chosen, room = np.empty(body.vertices.shape[0], np.int64), np.empty((2, body.vertices.shape[0]))
     rows = FIRST_ROWS if keep else 1
     log, knots = np.empty((rows, LOG_COLUMNS)), Knots(np.empty((rows, KNOT_COLUMNS)), ZERO, NONE, keep)
-    chi, slow = law.parameters[0], chatter_speed(law, plane, precision, body.radius)
+    active = np.zeros(body.vertices.shape[0], np.bool_)
+    slow, rough = chatter_speed(law, plane, precision, body.radius), has_friction(law)
     at_rest = plane.amplitude == 0.0
     time, end, impacts, events, zero_step_count = start_time, start_time + duration, 0, 0, 0
     contact_since, timeout = start_time, TIMEOUT * sqrt(body.radius / plane.g)
     i, j, face, ending = -1, -1, -1, NOT_ENDED
     begins = True  # whether an event has just happened: only then can the face become decided
     while True:
-        if begins and at_rest:
+        if begins and at_rest and not rough:
             face = decided_face(body, plane, y)
-        if keep:
+        if keep or rough:
             to_angular_velocity(body, y, shown)
-            knots = with_knot(Knots(knots.rows, knots.used, events - 1, keep), time, shown)
+        if begins and at_rest and rough:
+            face = decided_with_friction(body, plane, shown)
+        knots = Knots(knots.rows, knots.used, events - 1, keep)
+        if j != SLIDING:
+            knots = with_knot(knots, time, shown)
         contact = Contact(body, plane, i, j)
         is_on_one = begins and at_rest and stop_when_decided and i >= 0 and j == -1
         dt, hit, velocity, acceleration = 0.0, _FLIGHT_STEP, 0.0, 0.0
@@ -238,6 +267,21 @@ def run_asymmetric_throw(
                 ending, dt = TIME_REACHED, end - time
             state_after_step(contact, y, time, dt, stages, now)
             hit = _RELEASED
+        elif j == SLIDING:
+            open_end = end == inf
+            left = (contact_since + timeout if open_end else end) - time
+            ending, dt, hit, knots = follow_sliding_contact(
+                setup, active, shown, time, left, open_end, stop_when_decided, knots
+            )
+            knots = with_knot(knots, time + dt, shown)
+            copy_to(now, to_angular_momentum(body, shown))
+            hit = hit if hit >= 0 else _LEFT
+            if ending == RESTED:
+                face = plumb_face_row(body, now)
+            elif ending == TIME_REACHED:
+                face = decided_with_friction(body, plane, shown) if at_rest else face
+                ending = TIMED_OUT if open_end else ending
+            velocity = vertex_velocity(body, plane, now, time + dt, hit) if hit >= 0 else 0.0
         elif face >= 0 and stop_when_decided and (i >= 0 or not keep):
             ending = RESTED
             now[:] = y
@@ -272,14 +316,17 @@ def run_asymmetric_throw(
         if ending != NOT_ENDED:
             to_angular_velocity(body, y, shown)
             return ending, impacts, face, time, shown, log[: events if keep else 0], knots.rows[: knots.used]
-        if i >= 0 and j != -2:
+        if i >= 0 and j >= NONE:
             project_on_contact(contact, y, time)
         begins = hit != _FLIGHT_STEP
         if not begins:
             continue
         to_angular_velocity(body, y, before)
         struck = 0.0
-        if reorder:
+        if reorder and rough:
+            i, j = touch_to_slide(setup, y, time, hit, slow, active), SLIDING
+            hit = -1
+        elif reorder:
             hit = -1
             i, j = resolve_contacts(body, plane, y, time, slow, chosen, room)
             contact = Contact(body, plane, i, j)
@@ -293,15 +340,22 @@ def run_asymmetric_throw(
                 state_after_step(contact, y, time, nudge, stages, now)
                 y[:] = now
                 time += nudge
-        else:
+        elif hit >= 0:
             approach = vertex_velocity(body, plane, y, time, hit)
-            struck = simultaneous_impact(Contact(body, plane, hit, NONE), y, time, approach, chi, chosen, room)
+            n, struck = struck_together(Contact(body, plane, hit, NONE), y, time, approach, chosen)
+            if rough and j == SLIDING:
+                n = without_held(chosen, n, active, hit)
+                struck = bits_of_rows(chosen, n)
+            strike(setup, y, time, hit, approach, chosen, n, room)
+            struck = 0.0 if n == 1 else (-struck if rough else struck)
             i, j = -1, -1
             impacts += 1
+        else:
+            hit, i, j = -1, -1, -1
         if keep:
             log = with_room(log, events)
             to_angular_velocity(body, y, shown)
-            write_event(log[events], time, hit, before, shown, i, j, struck)
+            write_event(log[events], time, hit, before, shown, bits_of(active) if j == SLIDING else float(i), j, struck)
         events += 1
 
 
@@ -316,6 +370,14 @@ def asymmetric_states_at(body: AsymmetricBody, plane: Plane, held: Array, knots:
         k = max(0, np.searchsorted(knots[:, 1], times[n], side="right") - 1)
         event = int(knots[k, 0])
         i, j = (int(held[event, 0]), int(held[event, 1])) if event >= 0 else (-1, -1)
+        if j == SLIDING:
+            # The first half of a step goes with the old velocities, the second half with the new ones.
+            is_last = k + 1 >= knots.shape[0] or knots[k + 1, 0] != event
+            if not is_last and times[n] - knots[k, 1] > 0.5 * (knots[k + 1, 1] - knots[k, 1]):
+                k += 1
+            out[n] = knots[k, 2:]
+            carry_freely(body, out[n], times[n] - knots[k, 1], stages)
+            continue
         y = to_angular_momentum(body, knots[k, 2:])
         state_after_step(Contact(body, plane, i, j), y, knots[k, 1], times[n] - knots[k, 1], stages, now)
         to_angular_velocity(body, now, out[n])

@@ -1,4 +1,4 @@
-"""The impulse of an impact on a body with any inertia tensor, with its derivatives: `engine.impact` with W = R I⁻¹ Rᵀ for 1/J.
+"""An impact on a body with any inertia tensor, and its impulse with derivatives: `engine.impact` with W = R I⁻¹ Rᵀ for 1/J.
 
 A turn of the attitude, apart from what it does to the arm and to the contact velocity, changes W. Its columns follow those that
 the gradient of a die with one moment of inertia has.
@@ -13,8 +13,8 @@ import numpy as np
 from numba.extending import overload
 
 from ...compiled import compiled, inner
-from ..attitude import angular_velocity_of, to_body_axes, to_table_axes
-from ..friction_impulse import contact_matrix, friction_impulse
+from ..flight import lever_arm
+from ..friction_impulse import friction_impulse
 from ..impact import (
     ARM,
     CHI,
@@ -27,12 +27,65 @@ from ..impact import (
     coefficient_gradient,
     complete_columns,
     difference_weight,
+    restitution_at,
     rough_law_at,
 )
-from ..types import SMOOTH_BY_SPEED, Array, AsymmetricBody, Law, RoughLaw, Vector
+from ..inertia import angular_velocity_of, contact_matrix, tensor_inertia, tensor_matrix, to_body_axes, to_table_axes
+from ..types import NONE, SMOOTH_BY_SPEED, Array, AsymmetricBody, Contact, Indices, Law, RoughLaw, Setup, Vector
+from .contact import simultaneous_impact
 
 ATTITUDE, ASYMMETRIC_INPUTS = INPUTS, INPUTS + 3
 """Columns of the gradient: those of `impact.impulse_gradient`, then a rotation vector (3) that turns W."""
+
+
+@inner
+def smooth_strike(
+    setup: Setup, y: Array, time: float, hit: int, velocity: float, chosen: Indices, n: int, room: Array
+) -> None:
+    """`strike` of a law without friction: all n at once."""
+    body, law, plane, _ = setup
+    contact = Contact(body, plane, hit, NONE)
+    simultaneous_impact(contact, y, time, velocity, restitution_at(law, velocity), chosen, n, room)
+
+
+@inner
+def rough_strike(
+    setup: Setup, y: Array, time: float, hit: int, velocity: float, chosen: Indices, n: int, room: Array
+) -> None:
+    """`strike` of a law with friction: the one vertex, and the others after it."""
+    body, law, _, _ = setup
+    now, ending = rough_law_at(law, velocity), int(law.parameters[2])
+    arm = np.empty(3)
+    arm[0], arm[1], level = lever_arm(body.vertices[hit], y)
+    arm[2] = level - body.corner_radius
+    ox, oy, oz = angular_velocity_of(body, y, y[10], y[11], y[12])
+    cx, cy = y[7] + oy * arm[2] - oz * arm[1], y[8] + oz * arm[0] - ox * arm[2]
+    matrix = tensor_matrix(tensor_inertia(body, y), arm[0], arm[1], arm[2])
+    sx, sy, sz = friction_impulse(matrix, now.chi, now.mu, ending, cx, cy, velocity)
+    y[7] += sx / body.mass
+    y[8] += sy / body.mass
+    y[9] += sz / body.mass
+    y[10] += arm[1] * sz - arm[2] * sy
+    y[11] += arm[2] * sx - arm[0] * sz
+    y[12] += arm[0] * sy - arm[1] * sx
+
+
+def strike(
+    setup: Setup, y: Array, time: float, hit: int, velocity: float, chosen: Indices, n: int, room: Array
+) -> None:
+    """The impact, in place, of vertex `hit`, which comes down with `velocity` [m/s], on a state y (13,) with L.
+
+    `chosen` has the n vertices that touch at that instant, of which no law with friction strikes more than one."""
+    if isinstance(setup.law, RoughLaw):
+        rough_strike(setup, y, time, hit, velocity, chosen, n, room)
+    else:
+        smooth_strike(setup, y, time, hit, velocity, chosen, n, room)
+
+
+@overload(strike, strict=False)
+def _strike_of(setup: Any, y: Any, time: Any, hit: Any, velocity: Any, chosen: Any, n: Any, room: Any) -> Any:
+    """The branch of `strike` that the type of the law asks for, chosen when it is compiled."""
+    return (rough_strike if setup[1].instance_class is RoughLaw else smooth_strike).py_func
 
 
 @compiled

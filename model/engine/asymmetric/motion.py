@@ -9,8 +9,8 @@ from __future__ import annotations
 from math import cos, sin, sqrt
 
 from ...compiled import inner
-from ..attitude import body_angular_velocity, to_table_axes, vertical_in_body
 from ..flight import table_acceleration, table_height, table_velocity
+from ..inertia import attitude_rates, body_angular_velocity, to_table_axes, vertical_in_body
 from ..runge_kutta import NODES, STAGES, START, VALUES, stage_values
 from ..types import Array, AsymmetricBody, Contact, Plane
 
@@ -91,12 +91,7 @@ def contact_forces(body: AsymmetricBody, plane: Plane, y: Array, time: float, i:
 @inner
 def _state_rates(body: AsymmetricBody, plane: Plane, y: Array, time: float, i: int, j: int, out: Array) -> None:
     """Fill `out` (8,) with q' and, in held contact, z', v_z', L_x', L_y'."""
-    p, q, r = body_angular_velocity(body, y)
-    w, a, b, c = y[3], y[4], y[5], y[6]
-    out[0] = 0.5 * (-a * p - b * q - c * r)
-    out[1] = 0.5 * (w * p + b * r - c * q)
-    out[2] = 0.5 * (w * q + c * p - a * r)
-    out[3] = 0.5 * (w * r + a * q - b * p)
+    attitude_rates(body, y, out)
     if i < 0:
         return
     n, o = contact_forces(body, plane, y, time, i, j)

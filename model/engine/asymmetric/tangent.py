@@ -12,7 +12,6 @@ from math import ceil, inf, nan, sqrt
 import numpy as np
 
 from ...compiled import compiled, inner
-from ..attitude import angular_velocity_of, body_angular_velocity, to_angular_momentum, to_angular_velocity
 from ..derivatives import (
     SHIFTS,
     Impact,
@@ -24,6 +23,7 @@ from ..derivatives import (
 )
 from ..flight import BELOW_TABLE, LEAST_BOUND, lever_arm, table_acceleration, table_velocity
 from ..impact import ParameterDerivatives, wanted_columns
+from ..inertia import angular_velocity_of, body_angular_velocity, to_angular_momentum, to_angular_velocity
 from ..log import with_room, write_event
 from ..rest import chatter_speed
 from ..runge_kutta import STAGES, START, VALUES, stage_values

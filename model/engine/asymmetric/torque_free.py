@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...compiled import compiled, inner_nogil
-from ..attitude import angular_velocity_of, to_body_axes, to_table_axes
+from ..inertia import angular_velocity_of, to_body_axes, to_table_axes
 from ..types import Array
 from .motion import MAX_TURN_RAD
 from .tangent import attitude_step

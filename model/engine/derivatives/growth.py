@@ -28,7 +28,7 @@ from ..flight import (
 from ..held_contact import contact_forces, held_step, project_on_contact, remove_normal_velocity, step_workspace
 from ..impact import apply_impact
 from ..log import copy_columns, copy_to, state_after
-from ..sliding_contact import FRICTION_STANDING_HEIGHT, SlidingBody, SlidingRoom, sliding_step
+from ..sliding_contact import FRICTION_STANDING_HEIGHT, SlidingBody, room_to_slide, sliding_step
 from ..types import (
     FALSE,
     FINE,
@@ -251,7 +251,7 @@ def frictional_tangent(
     tangent, columns, scale = disturbances
     n, sliding = body.vertices.shape[0], SlidingBody(body, law.parameters[1], plane, active)
     there, ahead, behind = np.empty(13), np.empty(13), np.empty(13)
-    room = SlidingRoom(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)))
+    room = room_to_slide(n)
     for c in range(columns):
         size = scaled_length(tangent, c, scale)
         if size > 0.0:

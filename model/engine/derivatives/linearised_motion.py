@@ -29,9 +29,9 @@ import numpy as np
 from numba.extending import overload
 
 from ...compiled import inner
-from ..attitude import angular_velocity_of
 from ..flight import lever_arm, spin_axis
 from ..impact import CHI, INPUTS, ParameterDerivatives, impulse_gradient, wanted_columns
+from ..inertia import angular_velocity_of
 from ..types import Array, AsymmetricBody, Body, Law, Plane, Setup, has_friction
 
 RAISED, LIFTED, ROUNDER, BY_CHI, BY_MU, BY_INERTIA, BY_SPEED_SCALE, SHIFTS = 3, 4, 5, 6, 7, 8, 9, 10

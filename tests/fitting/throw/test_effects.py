@@ -175,9 +175,8 @@ def test_fits_of_one_throw_combine_what_the_model_has_derivatives_of() -> None:
     brick = Physics(BRICK, LEVEL, {"chi": 0.5})
     assert brick.is_compatible_with("friction")
     assert not any(brick.is_compatible_with(effect) for effect in ("inertia", "loaded die", "air drag"))
-    assert brick.comes_to_rest
-    assert not brick.with_effect("friction").comes_to_rest
-    assert not brick.can_be_thrown_with("friction")
+    assert brick.can_be_thrown_with("friction")
+    assert not brick.can_be_thrown_with("air drag")
     assert fair.with_effect("friction").can_be_thrown_with("loaded die")
 
 

@@ -390,6 +390,7 @@ def test_invalid_parameters_raise_an_error(make, message):
 # ---- held contact ----------------------------------------------------------------------------------------------------
 
 CUBE = DICE["cube"]
+CUBE_INERTIA = engine.EvenInertia(CUBE.mass_kg, CUBE.inertia_kg_m2)
 BOTTOM = np.ascontiguousarray(DICE["cube"].solid.vertices[DICE["cube"].solid.vertices[:, 2] < 0])
 
 
@@ -398,7 +399,7 @@ def slide(velocity, mu: float, gravity, steps: int, h: float = 1e-4, table_veloc
     velocity, impulses, rows = np.array(velocity, float), np.zeros((len(corners), 3)), []
     for _ in range(steps):
         contact = engine.FrictionalCorners(corners, impulses, mu, table_velocity)
-        engine.friction_step(velocity, contact, CUBE.mass_kg, CUBE.inertia_kg_m2, h * np.array(gravity))
+        engine.friction_step(velocity, contact, CUBE_INERTIA, h * np.array(gravity))
         rows.append(velocity.copy())
     return np.array(rows)
 
@@ -455,7 +456,7 @@ def test_held_contact_never_gains_energy_and_never_sinks(touching):
         push, mu, velocity = 1e-3 * rng.normal(size=3), rng.uniform(0.0, 0.8), before.copy()
         impulses = np.zeros((touching, 3))
         sweeps = engine.friction_step(
-            velocity, engine.FrictionalCorners(BOTTOM[:touching], impulses, mu, 0.0), mass, inertia, push
+            velocity, engine.FrictionalCorners(BOTTOM[:touching], impulses, mu, 0.0), CUBE_INERTIA, push
         )
         weights = np.array([mass] * 3 + [inertia] * 3)
         gained = 0.5 * weights @ (velocity**2 - before**2) - mass * push @ velocity[:3]
@@ -494,9 +495,9 @@ def test_a_die_in_millimetres_slides_as_in_metres():
         small, push = velocity * [1, 1, 1, 1e3, 1e3, 1e3] * 1e-3, 1e-4 * rng.normal(size=3)
         a, b = np.zeros((4, 3)), np.zeros((4, 3))
         corners = engine.FrictionalCorners(BOTTOM, a, 0.3, 0.0)
-        engine.friction_step(velocity, corners, 0.016, CUBE.inertia_kg_m2, push)
+        engine.friction_step(velocity, corners, CUBE_INERTIA, push)
         corners = engine.FrictionalCorners(1e-3 * BOTTOM, b, 0.3, 0.0)
-        engine.friction_step(small, corners, 1.6e-5, 1e-9 * CUBE.inertia_kg_m2, 1e-3 * push)
+        engine.friction_step(small, corners, engine.EvenInertia(1.6e-5, 1e-9 * CUBE.inertia_kg_m2), 1e-3 * push)
         np.testing.assert_allclose(small * [1e3, 1e3, 1e3, 1, 1, 1], velocity, atol=1e-10 * np.abs(velocity).max())
 
 

@@ -12,9 +12,8 @@ from diethrow.model.die.die import Die, die_from_solid, loaded_die, make_die
 from diethrow.model.die.named_solids import truncated_dipyramid
 from diethrow.model.laws import LEVEL, CoulombImpact, FrictionBySpeed, RestitutionBySpeed, SmoothImpact, Table
 from diethrow.model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
-from diethrow.model.throw.motion import State, Throw
+from diethrow.model.throw.motion import State
 from diethrow.model.throw.simulate import Until, throw_die
-from diethrow.model.throw.supported import BodyKind, body_kind
 from diethrow.model.throw.tangent import PARAMETERS, Propagation, propagate
 from diethrow.model.world import GRAVITY_M_S2
 
@@ -80,16 +79,7 @@ def a_throw(model: Model, seed: int, impacts: int) -> tuple[State, list[int], np
     """A release, the vertices of its first bounces, and times between them, not next to any."""
     die, law, table, _ = model
     start = random_release(np.random.default_rng(seed), die)
-    if body_kind(die) is BodyKind.ASYMMETRIC and not isinstance(law, SmoothImpact):
-        # No event loop follows such a die with such a law; its bounces follow each other as the derivatives' own kernel has it.
-        later = start.time_s
-        throw = run(model, start, np.array([later]), None).throw
-        while len(throw.impacts) < impacts + 1:
-            later += 0.01
-            throw = run(model, start, np.array([later]), None).throw
-        throw = Throw(throw.flights[: impacts + 1], throw.impacts[:impacts])
-    else:
-        throw = throw_die(die, start, law, until=Until(impacts=impacts), table=table).throw
+    throw = throw_die(die, start, law, until=Until(impacts=impacts), table=table).throw
     assert all(impact.contact == "vertex" for impact in throw.impacts)
     times = [np.linspace(f.start.time_s, f.end_s, 6)[1:-1] for f in throw.flights if f.end_s - f.start.time_s > 1e-3]
     return start, [impact.vertices[0] for impact in throw.impacts], np.concatenate(times)
