@@ -22,6 +22,9 @@ LEAST_BOUND = 1e-3
 BELOW_TABLE = -1e-12
 """Height in units of the circumradius from which a vertex counts as below the table: more than rounding."""
 
+LARGEST = 1e13
+"""Velocities and height, in SI units, beyond which a state is out of range: those of a release are smaller (`throw.body`)."""
+
 
 # --- The table ---
 
@@ -45,6 +48,16 @@ def table_acceleration(plane: Plane, time: float) -> float:
 
 
 # --- A state ---
+
+
+@inner
+def is_in_range(state: Array) -> bool:
+    """Whether the velocities of a state (13,), and its height, are ones from which a touch can be found: not NaN, and below
+    LARGEST. The search takes steps that shrink with the velocity, and would not end."""
+    size = 0.0
+    for k in range(7, 13):
+        size += abs(state[k])
+    return bool(size + abs(state[2]) < LARGEST)
 
 
 @compiled

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import nan
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +24,17 @@ def copy_columns(target: Array, source: Array, columns: int) -> None:
     for k in range(12):
         for c in range(columns):
             target[k, c] = source[k, c]
+
+
+@inner
+def fill_with_nan(poses: Array, jacobian: Array, first: int) -> None:
+    """Make the poses (n, 7) and derivatives (n, 6, m) from row `first` on NaN."""
+    for k in range(first, poses.shape[0]):
+        for m in range(7):
+            poses[k, m] = nan
+        for m in range(6):
+            for c in range(jacobian.shape[2]):
+                jacobian[k, m, c] = nan
 
 
 @inner

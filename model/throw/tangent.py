@@ -158,8 +158,9 @@ def propagate(
 
     A number as `law` is the χ of smooth impacts. Times may be in any order, and before the start, where the first flight is
     extrapolated. `vertices` prescribes which vertex touches at each impact. After the last of them the flight continues,
-    through the table if a time asks for it. If one never touches again, it and all later impacts are left out. Without
-    `vertices` the first touch counts every time, as in `throw_die`.
+    through the table if a time asks for it. If one never touches again, it and all later impacts are left out. Poses are NaN
+    behind an impact that leaves no velocities that a throw can have, as where a prescribed vertex begins far below the table.
+    Without `vertices` the first touch counts every time, as in `throw_die`.
 
     Raises ValueError for an invalid start, law or parameter, and for a vertex that does not exist. Without `vertices` also for
     a start below the table, and for times after the bounces follow each other without end.

@@ -18,13 +18,13 @@ S = -(1 + χ) v/(1/m + t·I⁻¹ t) with t = r × ẑ; then Δv_z = S/m and ΔL 
 `friction_impulse` with the contact matrix of W = R I⁻¹ Rᵀ, one vertex after the other where several touch, and lasting contact is
 that of `sliding_contact`, between whose impulses the die turns by Euler's equations.
 
-**Held contact without friction.** Bounces slower than `Precision.slowest_bounce` √(g R) end on the table. The vertical forces N on one or two held
-vertices obey A N = -b, where Aᵢⱼ = 1/m + tᵢ·I⁻¹ tⱼ, and b are the vertical accelerations of the vertices without forces. Of all
-vertices on the table those are held for which N ≥ 0 and the accelerations ≥ 0 are complementary, found by trying none, one and
-two of them. If no such choice exists, the die lies on a face. A vertex is released when its force would pull. Between, the same
-integration runs with N in its right side, and each step ends with a projection on the contact. To bound |h''|: complementary
-forces are the smallest change of acceleration (in the metric of mass, by Gauss' principle) that presses no vertex into the
-table. Lifting the die by b is another such change, so that |Δz''| ≤ b and |Δω'| ≤ b √(m/I₁).
+**Held contact without friction.** Bounces slower than `Precision.slowest_bounce` √(g R) end on the table. The vertical forces N
+on one or two held vertices obey A N = -b, where Aᵢⱼ = 1/m + tᵢ·I⁻¹ tⱼ, and b are the vertical accelerations of the vertices
+without forces. Of all vertices on the table those are held for which N ≥ 0 and the accelerations ≥ 0 are complementary, found by
+trying none, one and two of them. If no such choice exists, the die lies on a face. A vertex is released when its force would
+pull. Between, the same integration runs with N in its right side, and each step ends with a projection on the contact. To bound
+|h''|: complementary forces are the smallest change of acceleration (in the metric of mass, by Gauss' principle) that presses no
+vertex into the table. Lifting the die by b is another such change, so that |Δz''| ≤ b and |Δω'| ≤ b √(m/I₁).
 
 **Rest.** Without friction L_z is constant, and with u the vertical in body axes T ≥ L_z²/(2 u·I u). On a table at rest the energy
 E = m g z + m v_z²/2 + T never grows. To leave the face that the plumb line from the centre of mass pierces, the die must pass

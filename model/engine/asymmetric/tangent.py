@@ -21,10 +21,10 @@ from ..derivatives import (
     saltation,
     shifts_at_impact,
 )
-from ..flight import BELOW_TABLE, LEAST_BOUND, lever_arm, table_acceleration, table_velocity
+from ..flight import BELOW_TABLE, LEAST_BOUND, is_in_range, lever_arm, table_acceleration, table_velocity
 from ..impact import ParameterDerivatives, wanted_columns
 from ..inertia import angular_velocity_of, body_angular_velocity, to_angular_momentum, to_angular_velocity
-from ..log import with_room, write_event
+from ..log import fill_with_nan, with_room, write_event
 from ..rest import chatter_speed
 from ..runge_kutta import STAGES, START, VALUES, stage_values
 from ..types import (
@@ -253,6 +253,10 @@ def run_asymmetric_tangent(
     time, done, impacts, ending, fresh = start_time, 0, 0, TIME_REACHED, True
     while True:
         hit, dt, ends = -1, inf, False
+        to_angular_velocity(body, y, shown)
+        if not is_in_range(shown):
+            fill_with_nan(poses, jacobian, done)
+            return NO_TOUCH, poses, jacobian, log[:impacts], dtimes[:impacts]
         if not sequence.free and impacts == sequence.vertices.shape[0]:
             ends = True
         elif sequence.free:

@@ -31,13 +31,14 @@ from ..flight import (
     advance,
     first_touch,
     height_terms,
+    is_in_range,
     spin_rate,
     table_acceleration,
     table_velocity,
     touch_of_vertex,
 )
 from ..impact import ParameterDerivatives
-from ..log import copy_to, with_room, write_event
+from ..log import copy_to, fill_with_nan, with_room, write_event
 from ..rest import chatter_speed
 from ..types import (
     CHATTER,
@@ -247,6 +248,9 @@ def run_tangent(
         start_flow(state, flow)
         flight = FlightStart(state, spin, flow)
         hit, dt = NONE, 0.0
+        if not is_in_range(state):
+            fill_with_nan(poses, jacobian, done)
+            return NO_TOUCH, poses, jacobian, log[:impacts], dtimes[:impacts]
         if sequence.free:
             dt, hit, velocity, acceleration = touch_ahead(air, plane, flight, terms, body.radius, time, last - time)
             if hit >= 0 and (velocity == 0.0 or (-velocity <= slow and acceleration < 0.0)):

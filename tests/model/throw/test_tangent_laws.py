@@ -290,6 +290,19 @@ def test_parameters_that_do_not_act_have_columns_of_zeros():
     assert not skewed.jacobian[:, :, 12].any()
 
 
+def test_poses_are_nan_behind_an_impact_that_leaves_no_velocity_that_a_throw_can_have():
+    """Back in time, to where a vertex below the table crossed it, the speed in thick air grows beyond all bounds."""
+    below = State(
+        0.0, np.array([0, 0, -0.06]), np.array([1.0, 0, 0, 0]), np.array([0, 0, -3.0]), np.array([3.0, 2.0, 1.0])
+    )
+    found = propagate(
+        make_die("cube", 0.02, 0.016), below, SmoothImpact(0.5), [-0.01, 0.02], vertices=[0, 1, 2, 3], drag_per_m=300.0
+    )
+    assert len(found.impact_times_s) == 1
+    assert np.isnan(found.positions_m[1]).all()
+    assert np.isnan(found.jacobian[1]).all()
+
+
 def test_unknown_parameters_and_negative_drag_raise_and_name_the_value():
     model = (ROUNDED["cube"], LAWS["smooth"], LEVEL, 0.0)
     start, vertices, times = a_throw(model, 7, 1)
