@@ -18,6 +18,7 @@ The extension ends
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -277,21 +278,49 @@ def _same_parameters(one: Trajectory, other: Trajectory) -> bool:
     return all(abs(value - other.physics.values[name]) < _SAME_VALUE for name, value in one.physics.values.items())
 
 
+def definitions_differ(trajectory: Trajectory, free: FreeFlights) -> bool:
+    """Whether another definition of restitution makes a difference to the residuals: a slip stops or turns within an impact."""
+    kinds = [replace(trajectory, physics=kind) for kind in trajectory.physics.with_other_restitutions()]
+    return not all(_same_residuals(kind, trajectory, free) for kind in kinds)
+
+
 def friction_alternatives(
-    trajectory: Trajectory, free: FreeFlights, *, by_every_definition: bool = False
+    trajectory: Trajectory,
+    free: FreeFlights,
+    *,
+    by_every_definition: bool = False,
+    followed: Sequence[Trajectory] = (),
 ) -> list[Trajectory]:
-    """The trajectory with the friction that its frames support best, then others that agree with them as well.
+    """The trajectory with the friction that its frames support best, then others that agree with them as well. Where laws that
+    follow the course of the slip leave something unexplained, the algebraic law is taken if it clearly beats them. `followed` are
+    trajectories by other definitions of restitution as far as this one."""
+    ranked = _friction_by_course(trajectory, free, by_every_definition=by_every_definition, followed=followed)
+    if well_explained(ranked[0], free):
+        return ranked
+    k2 = free.huber_threshold
+    trials = [_with_restitution("algebraic", ranked[0], k2), *_from_other_friction("algebraic", ranked[0], free)]
+    algebraic = min(trials, key=lambda one: one.cost(k2))
+    is_clear = algebraic.cost(k2) + CLEAR_DIFFERENCE * max(1.0, algebraic.mean_square) < ranked[0].cost(k2)
+    return [algebraic] if is_clear else ranked
+
+
+def _friction_by_course(
+    trajectory: Trajectory, free: FreeFlights, *, by_every_definition: bool, followed: Sequence[Trajectory]
+) -> list[Trajectory]:
+    """`friction_alternatives` among the definitions of restitution that end one course of the slip.
 
     Where no slip stops within an impact there is one alternative. Where one does, more friction may fit equally well, the
     least cost may lie behind a bend that a descent does not pass, and the definitions of restitution differ. The first
     definition, in the order of `RESTITUTIONS`, is taken that no other clearly beats. `by_every_definition` adds the others that
     are not clearly beaten, the best trajectory of each.
     """
-    kinds = [replace(trajectory, physics=kind) for kind in trajectory.physics.with_other_restitutions()]
-    if all(_same_residuals(kind, trajectory, free) for kind in kinds):
+    if not definitions_differ(trajectory, free):
         return [trajectory]
     k2 = free.huber_threshold
     found = {kind: [_with_restitution(kind, trajectory, k2)] for kind in RESTITUTIONS}
+    for other in followed:
+        if other.physics.restitution in found:
+            found[other.physics.restitution].append(fit_trajectory(trajectory.observations, other, other.vertices, k2))
     for kind in RESTITUTIONS if by_every_definition else ():
         found[kind] += _from_other_friction(kind, trajectory, free)
     for kind in RESTITUTIONS:

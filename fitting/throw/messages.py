@@ -33,6 +33,7 @@ _DEFINITIONS = {
     "stronge": "energies (Stronge)",
     "newton": "normal velocities (Newton)",
     "poisson": "impulses (Poisson)",
+    "algebraic": "normal velocities (Chatterjee and Ruina)",
 }
 """What each definition of restitution compares before and after an impact."""
 

@@ -91,7 +91,7 @@ _OF_ONE_MOMENT = frozenset({"inertia", "loaded die"})
 """Effects on dice with one moment of inertia only."""
 
 RESTITUTIONS: tuple[Restitution, ...] = ("stronge", "newton", "poisson")
-"""Definitions of restitution, in the order of preference."""
+"""Definitions of restitution that end the same course of the slip, in the order of preference."""
 
 _NEUTRAL = {"clock_scale": 1.0, "length_scale": 1.0}
 """Values without effect, where these are not 0."""

@@ -25,7 +25,14 @@ from ..results import USUAL_CHOICES, Choices, Effect, Fit, Parameter
 from .bootstrap import bootstrap_intervals
 from .clock_and_scale import as_tracked
 from .effects import EFFECTS, Trial, superseded_effect, try_effects, try_effects_on_next_flight
-from .extension import at_its_limit, best_attempt, can_go_on, extend_through_bounces, friction_alternatives
+from .extension import (
+    at_its_limit,
+    best_attempt,
+    can_go_on,
+    definitions_differ,
+    extend_through_bounces,
+    friction_alternatives,
+)
 from .landing import continued, landing_odds, resting_face
 from .messages import (
     bounce_messages,
@@ -157,11 +164,29 @@ def _with_effects(task: _Task, physics: Physics) -> tuple[list[Trajectory], list
         longer = _best_with_one_more(task, trajectories, trials)
         if longer is None:
             break
-        trajectories = _without_superseded(task, longer)
-        alternatives = friction_alternatives(trajectories[0], task.free, by_every_definition=True)
+        trajectories, followed = _by_the_definition_that_leads_farthest(task, _without_superseded(task, longer))
+        alternatives = friction_alternatives(trajectories[0], task.free, by_every_definition=True, followed=followed)
         trajectories = [alternatives[0], *trajectories[1:]]
         trials = _trials(task, trajectories[0])
     return trajectories, alternatives, trials
+
+
+def _by_the_definition_that_leads_farthest(
+    task: _Task, trajectories: list[Trajectory]
+) -> tuple[list[Trajectory], list[Trajectory]]:
+    """The trajectories by the definition of restitution that explains most bounces, and the best by each other definition that
+    explains as many.
+
+    Each is extended from the first flight: a throw of several bounces is lost before a descent leads from the χ of one definition
+    to that of another.
+    """
+    physics = trajectories[0].physics
+    if not definitions_differ(trajectories[0], task.free):
+        return trajectories, []
+    others = [_from_first_flight(task, kind) for kind in physics.with_other_restitutions()]
+    farthest = max([trajectories, *others], key=lambda found: found[0].reached)
+    followed = [found[0] for found in (trajectories, *others) if found is not farthest]
+    return farthest, [one for one in followed if one.reached == farthest[0].reached]
 
 
 def _from_first_flight(task: _Task, physics: Physics) -> list[Trajectory]:

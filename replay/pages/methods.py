@@ -80,6 +80,16 @@ FRICTION = _article(
     "1990",
     "10.1098/rspa.1990.0125",
 )
+ALGEBRAIC = _article(
+    "chatterjee1998",
+    "A. Chatterjee and A. Ruina",
+    "A new algebraic rigid-body collision law based on impulse space considerations",
+    "Journal of Applied Mechanics",
+    "65",
+    "939--951",
+    "1998",
+    "10.1115/1.2791938",
+)
 EVIDENCE = _article(
     "chen2008",
     "J. Chen and Z. Chen",
@@ -120,6 +130,7 @@ RESTITUTIONS = {
     "stronge": "χ² is the ratio of the work of the normal force in restitution to that in compression",
     "poisson": "χ is the ratio of the normal impulses in restitution and compression",
     "newton": "χ is the ratio of the normal velocities after and before the impact",
+    "algebraic": "χ is the ratio of the normal velocities after and before the impact",
 }
 
 
@@ -206,7 +217,10 @@ def _model(record: Record, fit: Fit, citations: Citations) -> Iterator[str]:
     law = f"the rigid-impact model of Kapitaniak et al. {citations.mark(MODEL)}"
     mu = fit.parameters.get("mu")
     if mu is not None and mu.value is not None:
-        law += f" and Coulomb friction integrated along the normal impulse {citations.mark(FRICTION)}"
+        if fit.restitution == "algebraic":
+            law += f" and the friction of the algebraic law of Chatterjee and Ruina {citations.mark(ALGEBRAIC)}"
+        else:
+            law += f" and Coulomb friction integrated along the normal impulse {citations.mark(FRICTION)}"
         law += f"; {RESTITUTIONS[fit.restitution]}"
     share = plural(fit.bounces_fitted, "impact")
     if fit.bounces_fitted < len(record.measured.bounces):

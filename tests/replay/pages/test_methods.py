@@ -53,6 +53,15 @@ def test_friction_and_the_kind_of_interval_are_cited() -> None:
     assert [reference.key for reference in references][2:] == ["stronge1990", "buhlmann1997"]
 
 
+def test_the_law_that_follows_no_course_of_the_slip_has_a_source_of_its_own() -> None:
+    found = {"chi": Parameter(0.6, 0.5, 0.7, 0.95, True, False), "mu": Parameter(0.2, 0.1, 0.3, 0.95, True, False)}
+    fit = replace(made.fit(parameters=found, chosen=("friction",)), restitution="algebraic")
+    paragraphs, references = methods_text(made.record(fit=fit), ReportDetails())
+    assert "law of Chatterjee and Ruina [3]; χ is the ratio of the normal velocities" in paragraphs[1]
+    assert "along the normal impulse" not in paragraphs[1]
+    assert references[2].key == "chatterjee1998"
+
+
 def test_what_is_not_known_is_not_said() -> None:
     track = made.track()
     unknown = replace(track, covariance=np.full_like(track.covariance, np.nan))
