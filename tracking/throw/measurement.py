@@ -300,7 +300,8 @@ def _flights_and_impacts(
         certain = _count_to_last_rebound(impacts, low_s)
         if certain == len(impacts):
             return found, impacts, flying
-        flying = int(np.searchsorted(observations.time_s, impacts[certain].time_s))
+        # A fit may put the impact behind the last frame in flight: one frame less each time, or this would not end.
+        flying = min(int(np.searchsorted(observations.time_s, impacts[certain].time_s)), flying - 1)
         _require_flight(flying)
 
 
