@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from throws import random_release, true_throw
+import pytest
+from throws import random_release, seen, true_throw
 
 from diethrow.model.die import Die, make_die
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
 from diethrow.tracking.flights import WeightedPoses
+from diethrow.tracking.throw import measurement
+from diethrow.tracking.throw.measurement import NoFlightError, measure_throw
 from diethrow.tracking.throw.rest import first_supported_row
 
 ICOSAHEDRON = make_die("icosahedron", 0.011, 0.0036)
@@ -80,3 +83,15 @@ def test_a_die_that_tumbles_too_fast_to_stay_on_the_table_flies() -> None:
         for seed in range(THROWS)
     )
     assert all(first_supported_row(frames, OCTAHEDRON) == len(frames) for frames in thrown)
+
+
+def test_an_impact_behind_the_last_frame_in_flight_ends_the_measurement(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Such an impact is part of coming to rest; the flights before it had the same frames again, without end."""
+    rng = np.random.default_rng(3)
+    throw = true_throw(ICOSAHEDRON, random_release(ICOSAHEDRON, rng), 0.6, impacts=1)
+    track = seen(throw, rng)
+    late = replace(throw.impacts[0], time_s=float(track.time_s[-1]) + 1.0)
+    monkeypatch.setattr(measurement, "_impacts", lambda *arguments: (late,))
+    monkeypatch.setattr(measurement, "_count_to_last_rebound", lambda impacts, low_s: 0)
+    with pytest.raises(NoFlightError, match="show the die in flight"):
+        measure_throw(track, ICOSAHEDRON, every=8)
