@@ -4,7 +4,8 @@ A wrong pose, such as the depth reversal of the die, agrees with its picture and
 the table show that it is wrong:
 
 - no flight explains it (`MeasuredThrow.unexplained`);
-- its flight explains its frames worse than their own errors allow;
+- its flight explains its frames worse than their own errors allow, beside a contact that is not resolved already if they scatter
+  more than usual: such a contact may be the end of one labelling or of one way of seeing the die, and the beginning of another;
 - it lies below the table, or its flight has more energy than the one before.
 """
 
@@ -24,6 +25,9 @@ Mask = NDArray[np.bool_]
 MAX_RESIDUAL_SIGMAS = 6.0
 """Residual standard deviation of the frames of a flight, in stated standard errors, beyond which they are named. Covariances are
 scaled up by it. Of 1011 flights of 310 random clips 17 lay above 6, of which 14 had wrong poses."""
+MAX_SIGMAS_BESIDE_UNRESOLVED = 2.0
+"""The same for a flight that an unresolved contact begins or ends. Of the frames that 90 random clips had in such flights, and no
+other rule named, 63 per cent were wrong."""
 MAX_DEPTH_SHARE = 0.15
 """Depth of the lowest point below the table, as a share of an edge, beyond which frames are named: half a per cent of the
 distance to the camera is as much."""
@@ -40,11 +44,19 @@ def doubtful_frame_notices(found: MeasuredThrow, smoothed: Track) -> tuple[str, 
     """A sentence for each kind of contradiction, with the frames that it is about, whose poses are those of `smoothed`."""
     residual_sigmas, below_m = found.residual_sigmas, _below_table_m(smoothed, found.die)
     lowest_mm, largest = 1e3 * below_m.max(initial=0.0), np.nanmax(residual_sigmas, initial=0.0)
+    scattered = residual_sigmas > MAX_RESIDUAL_SIGMAS
+    beside = _beside_unresolved(found, smoothed) & (residual_sigmas > MAX_SIGMAS_BESIDE_UNRESOLVED) & ~scattered
+    most = np.max(residual_sigmas[beside], initial=0.0)
     kinds = (
         (found.unexplained, "No flight explains {}: what is said of them rests on single pictures."),
         (
-            residual_sigmas > MAX_RESIDUAL_SIGMAS,
+            scattered,
             f"The poses of {{}} differ from their flight by {largest:.0f} times the errors that they state: {DOUBT}.",
+        ),
+        (
+            beside,
+            f"The poses of {{}}, beside a contact that is not resolved, differ from their flight by {most:.1f} times the errors "
+            f"that they state: {DOUBT}.",
         ),
         (below_m > 0.0, f"The die is up to {lowest_mm:.1f} mm below the table on {{}}: {DOUBT}."),
         (_gaining_energy(found, smoothed), f"The die gains energy at a bounce in {{}}: {DOUBT}."),
@@ -70,6 +82,13 @@ def _below_table_m(track: Track, die: Die) -> Array:
     clear = np.maximum(MAX_DEPTH_SHARE * die.solid.edge_m, SIGMAS * np.sqrt(track.covariance[rows, 2, 2]))
     below[rows] = np.where(depth > clear, depth, 0.0)
     return below
+
+
+def _beside_unresolved(found: MeasuredThrow, track: Track) -> Mask:
+    """(n,) frames of the flights that an unresolved contact begins or ends."""
+    which = found.throw.flights_at(track.time_s)
+    unresolved = [k for k, impact in enumerate(found.throw.impacts) if impact.contact == "unresolved"]
+    return np.isin(which, unresolved) | np.isin(which, np.add(unresolved, 1))
 
 
 def _gaining_energy(found: MeasuredThrow, track: Track) -> Mask:

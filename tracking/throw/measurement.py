@@ -63,6 +63,9 @@ FEW_OUTLIERS = 0.05
 """Share of frames on no flight up to which a chain leaves no doubt: some lie beside impacts."""
 BELIEVED_SHARE = 0.5
 """Share of its frames above which a flight is believed."""
+OWN_MOTION_FRAMES = 6
+"""Frames off a flight at an end of the track, one after the other, from which they count as a motion of their own: outliers come
+a few in a row."""
 OFF_FLIGHT_RAD = 0.2
 """Angle [rad] from a flight at which a frame does not lie on it, whatever the errors of its pose, nor takes its labelling."""
 SAME_LABEL = 1e-6
@@ -124,7 +127,7 @@ class MeasuredThrow:
         standard errors that their pictures state. NaN for frames that belong to no flight."""
         out, time_s = np.full(len(self.frames), np.nan), self.frames.time_s
         used = weighted_poses(self.frames, self.rows, UNMODELLED_SHARE)
-        which = np.searchsorted(self.chain.link_times_s, time_s, side="right")
+        which = np.searchsorted(self.chain.link_times_s, time_s)
         for k, part in enumerate(self.chain.parts(used.time_s)):
             inliers = np.arange(part.start, part.stop)[self.chain.weights[part] > 0.0]
             if len(inliers) >= MIN_FRAMES:
@@ -134,30 +137,35 @@ class MeasuredThrow:
 
     @property
     def unexplained(self) -> NDArray[np.bool_]:
-        """(track rows,) frames that no flight explains: those of flights that are not believed; those that lie on neither flight
-        beside a contact that is not resolved; and those off the first or last flight, beyond all that lie on it, where the table
-        is so near that a contact may lie between."""
-        out, time_s = np.zeros(len(self.frames), bool), self.frames.time_s
+        """(track rows,) frames that no flight explains: those of flights that are not believed, tracked or not; those that lie on
+        neither flight beside a contact that is not resolved; and those off the first or last flight, beyond all that lie on it,
+        where they are many, or the table is so near that a contact may lie between."""
+        time_s = self.frames.time_s
         used_s, used_q = time_s[self.rows], self.frames.quaternion[self.rows]
-        for part, believed in zip(self.chain.parts(used_s), _believed(used_s, used_q, self.chain), strict=True):
-            out[self.rows[part]] = not believed
+        which = np.searchsorted(self.chain.link_times_s, time_s)
+        out = (time_s < self._held_s) & ~_believed(used_s, used_q, self.chain)[which]
         for impact in self.throw.impacts:
             if impact.contact in ("unresolved", "held"):
                 out[self._off_flights_about(impact.time_s)] = True
         for end_s in (-np.inf, np.inf):
             rows = self._off_flights_about(end_s)
-            if self._may_touch_table(rows):
+            if len(rows) >= OWN_MOTION_FRAMES or self._may_touch_table(rows):
                 out[rows] = True
         return out
+
+    @property
+    def _held_s(self) -> float:
+        """When the table begins to support the die; infinite if it does not."""
+        return min((impact.time_s for impact in self.throw.impacts if impact.contact == "held"), default=np.inf)
 
     def _off_flights_about(self, at_s: float) -> NDArray[np.int64]:
         """Rows of the frames in flight between the last that lies on its flight before an instant and the first after it; none
         if these are neighbours among the frames that were used."""
         time_s, tracked = self.frames.time_s, np.flatnonzero(self.frames.tracked)
-        held_s = min((impact.time_s for impact in self.throw.impacts if impact.contact == "held"), default=np.inf)
-        tracked = tracked[time_s[tracked] < held_s]
+        tracked = tracked[time_s[tracked] < self._held_s]
         on_flight = np.searchsorted(tracked, self.rows[self.chain.weights > 0.0])
-        after = int(np.searchsorted(time_s[tracked[on_flight]], at_s))
+        # A frame at the very instant belongs to the flight before.
+        after = int(np.searchsorted(time_s[tracked[on_flight]], at_s, side="right"))
         begin = int(on_flight[after - 1]) + 1 if after > 0 else 0
         end = int(on_flight[after]) if after < len(on_flight) else len(tracked)
         every = int(np.median(np.diff(np.searchsorted(tracked, self.rows)))) if len(self.rows) > 1 else 1

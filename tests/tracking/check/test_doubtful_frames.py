@@ -52,6 +52,29 @@ def test_a_frame_beyond_an_impact_that_no_other_frame_shows_keeps_its_pose_and_i
     np.testing.assert_array_equal(smoothed.position_m[struck - 1], track.position_m[struck - 1])
 
 
+def test_a_run_of_frames_off_the_only_flight_keeps_its_poses_and_is_named_however_high_it_is() -> None:
+    throw, rng = thrown(4)
+    track = seen(throw, rng)
+    behind = np.arange(len(track)) >= np.searchsorted(track.time_s, throw.impacts[0].time_s) - 1
+    aside = track.position_m + np.where(np.arange(len(track)) < 8, 0.03, 0.0)[:, None] * [0.0, 1.0, 1.0]
+    track = replace(track, position_m=aside, status=np.where(behind, LOST, track.status).astype(track.status.dtype))
+    found = measure(track, CUBE)
+    np.testing.assert_array_equal(np.flatnonzero(found.unexplained), np.arange(8))
+    np.testing.assert_array_equal(found.smoothed_frames.position_m[:8], aside[:8])
+    assert any("No flight explains frames 0 to 7:" in notice for notice in notices(track))
+
+
+def test_frames_behind_an_unresolved_contact_are_named_where_a_frame_is_at_its_very_instant() -> None:
+    throw, rng = thrown(5, impacts=1)
+    found = measure(seen(throw, rng), CUBE)
+    first, *others = found.throw.impacts
+    row = int(np.flatnonzero(found.frames.time_s < first.time_s)[-1])
+    impacts = (replace(first, contact="unresolved", time_s=float(found.frames.time_s[row])), *others)
+    weights = np.where(np.isin(found.rows, row + np.arange(1, 4)), 0.0, found.chain.weights)
+    altered = replace(found, throw=replace(found.throw, impacts=impacts), chain=replace(found.chain, weights=weights))
+    np.testing.assert_array_equal(np.flatnonzero(altered.unexplained), row + np.arange(1, 4))
+
+
 def test_a_die_below_the_table_is_named_with_its_depth() -> None:
     throw, rng = thrown(5, impacts=1)
     track = seen(throw, rng)
@@ -79,3 +102,16 @@ def test_frames_that_differ_from_their_flight_far_more_than_they_state_are_named
     (notice,) = notices(track)
     assert f"The poses of frames 0 to {len(track) - 1} differ from their flight by " in notice
     assert 12 <= int(notice.split(" by ")[1].split()[0]) <= 20
+
+
+def test_frames_that_scatter_beside_an_unresolved_contact_are_named_where_others_are_not() -> None:
+    throw, rng = thrown(7)
+    found = measure(seen(throw, rng, stated=0.3), CUBE)
+    smoothed = found.smoothed_frames
+    assert 2.0 < np.nanmin(found.residual_sigmas) <= np.nanmax(found.residual_sigmas) < 6.0
+    assert doubtful_frame_notices(found, smoothed) == ()
+    first, *others = found.throw.impacts
+    unresolved = replace(found, throw=replace(found.throw, impacts=(replace(first, contact="unresolved"), *others)))
+    (notice,) = [each for each in doubtful_frame_notices(unresolved, smoothed) if "beside a contact" in each]
+    behind = int(np.flatnonzero(smoothed.time_s < others[0].time_s)[-1])
+    assert f"The poses of frames 0 to {behind}, beside a contact that is not resolved, differ" in notice
