@@ -146,11 +146,12 @@ def test_a_cuboid_of_any_proportions_tumbles_without_loss(edges: tuple[float, ..
 
 
 @pytest.mark.parametrize("edges", [NEEDLE, PLATE], ids=["1 to 1000", "1 to 1000 to 1000"])
-def test_a_needle_and_a_plate_come_to_rest(edges: tuple[float, ...], happened: Note) -> None:
-    """A needle and a plate come to rest on a face, and never gain energy."""
+@pytest.mark.parametrize("mu", [0.0, 0.3], ids=lambda mu: f"mu {mu:g}")
+def test_a_needle_and_a_plate_come_to_rest(edges: tuple[float, ...], mu: float, happened: Note) -> None:
+    """A needle and a plate come to rest on a face, with friction and without, and never gain energy."""
     die = die_from_solid(named_solid("cuboid", edges_m=[1e-4 * edge for edge in edges]), 1e-3)
     release = random_release(np.random.default_rng(5), die)
-    result = throw_die(die, release, SmoothImpact(0.5))
+    result = throw_die(die, release, CoulombImpact(0.5, mu))
     energies = [energy_J(die, flight.start) for flight in result.throw.flights]
     assert result.ending is Ending.RESTED
     assert max(b / a - 1.0 for a, b in itertools.pairwise(energies)) < 1e-9
