@@ -268,7 +268,9 @@ def first_touch_in_air(
                     high = h + z_table - plane.amplitude
                     ahead = max(ahead, _root_of_parabola(high, v + v_table, bound - peak_table_acceleration))
             elif v > v_tol:
-                ahead = 2.0 * v / bound
+                # No less than a step in which the height changes by rounding alone: where a vertex below the table hardly ceases
+                # to rise, the first shrinks with v, and the integration's rounding keeps v above its tolerance.
+                ahead = max(2.0 * v / bound, sqrt(2.0 * h_tol / bound))
             else:
                 # The derivatives of -k |v| v are at most 2 k V A and 4 k A (A + k V²), with V and A those of v and v'.
                 fastest = strongest + drag * top * top

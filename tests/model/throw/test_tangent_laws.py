@@ -12,6 +12,7 @@ from diethrow.model.die.die import Die, die_from_solid, loaded_die, make_die
 from diethrow.model.die.named_solids import truncated_dipyramid
 from diethrow.model.laws import LEVEL, CoulombImpact, FrictionBySpeed, RestitutionBySpeed, SmoothImpact, Table
 from diethrow.model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
+from diethrow.model.throw.body import unpacked_state
 from diethrow.model.throw.motion import State
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.model.throw.tangent import PARAMETERS, Propagation, propagate
@@ -301,6 +302,19 @@ def test_poses_are_nan_behind_an_impact_that_leaves_no_velocity_that_a_throw_can
     assert len(found.impact_times_s) == 1
     assert np.isnan(found.positions_m[1]).all()
     assert np.isnan(found.jacobian[1]).all()
+
+
+def test_a_vertex_that_hardly_ceases_to_rise_below_the_table_ends_the_search_for_its_touch():
+    """A trial step of a fit: vertex 9 is below the table when its turn comes, rises to an inflection, and sinks for good."""
+    packed = [
+        0.017843656595865037, -0.03652084542700745, 0.023112383103382372, 0.42871549617622845, -0.8410279174863964,
+        -0.294611261065033, 0.14859094925511748, -0.26995429647441027, 0.40900747118324926, -0.09962139002876111,
+        5.127365913843905, 26.689017204606383, -8.922414455923015,
+    ]  # fmt: skip
+    start, die = unpacked_state(np.array(packed), 0.0), make_die("dodecahedron", 0.00698, 0.004)
+    law, names = CoulombImpact(0.8935502990564312, 0.1920394329343423, "algebraic"), ("chi", "mu", "drag_per_m")
+    found = propagate(die, start, law, [0.03], vertices=[19, 18, 12, 17, 11, 11, 11, 9], parameters=names)
+    assert len(found.impact_times_s) == 7
 
 
 def test_unknown_parameters_and_negative_drag_raise_and_name_the_value():
