@@ -118,7 +118,6 @@ _MAX_OFFSET = 0.5
 _MAX_CORNER_RADIUS = 0.9
 """Largest corner radius, in inscribed radii: at 1 the die is a sphere."""
 
-
 _LEAST_LARGEST = 0.02
 """The largest corner radius of a solid, in inscribed radii, below which rounded corners are no effect of it."""
 

@@ -1,7 +1,7 @@
 """Compiled kernels of the motion of a die: flight, impact, held contact, the event loop, and derivatives of them.
 
 `flight` moves a free die to its first touch (`air`: with drag), `impact` has the impulse of every law and its derivatives,
-`friction_impulse` that of Coulomb friction, `inertia` tells how dice answer an impulse and move without one, `held_contact` and
+`friction_impulse` that of Coulomb friction, `inertia` how dice answer an impulse and move without one, `held_contact` and
 `sliding_contact` follow lasting contact, `rest` decides the end, `event_loop` runs a throw, and `log` records it. `types` has
 states, codes and constants. The functions of `throw`, `laws` and `ensembles` call these kernels. A die with one moment of inertia
 is followed by the files of this folder, any other by `asymmetric`; derivatives of both are in `derivatives`.

@@ -540,8 +540,8 @@ def _follow_sliding_contact_of(
 def deepest_free_vertex(sliding: SlidingBody, state: Array, after: Array, time: float, dt: float) -> int:
     """The deepest vertex below the table after dt [s] of those that are not active and sink; -1 where there is none.
 
-    What sinks is told by the heights at both ends of the step: the velocity at its end is that of the pose that turns on without
-    forces, and by half of a step's centripetal acceleration too large."""
+    A vertex sinks that is lower at the end of the step than at its beginning. Its velocity at the end is too large by half of the
+    step's centripetal acceleration, because the second half of the step is free of forces."""
     body, _, plane, active = sliding
     deepest, hit = 0.0, -1
     z_before, z_after = table_height(plane, time), table_height(plane, time + dt)

@@ -80,8 +80,7 @@ def refuse_unsupported(door: Door, kind: BodyKind, law: engine.Law, has_drag: bo
         return
     others = " or ".join(action.value for action in Action if action in allowed)
     raise InputError(
-        f"{' and '.join(too_much)} on a die {kind.value}: wanted smooth impacts"
-        f"{f', or {others},' if others else ' of one restitution'} for {door.value}"
+        f"{' and '.join(too_much)} on a die {kind.value}: wanted smooth impacts, or {others}, for {door.value}"
     )
 
 
@@ -90,5 +89,5 @@ def support_table() -> str:
     rows = ["| die | " + " | ".join(door.value for door in Door) + " |", "| --- |" + " --- |" * len(Door)]
     for kind in BodyKind:
         cells = [", ".join(action.value for action in Action if action in SUPPORTED[door][kind]) for door in Door]
-        rows.append(f"| {kind.value} | " + " | ".join(cell or "smooth impacts alone" for cell in cells) + " |")
+        rows.append(f"| {kind.value} | " + " | ".join(cells) + " |")
     return "\n".join(rows)

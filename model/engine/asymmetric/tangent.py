@@ -23,7 +23,7 @@ from ..derivatives import (
 )
 from ..flight import BELOW_TABLE, LEAST_BOUND, is_in_range, lever_arm, table_acceleration, table_velocity
 from ..impact import ParameterDerivatives, wanted_columns
-from ..inertia import angular_velocity_of, body_angular_velocity, to_angular_momentum, to_angular_velocity
+from ..inertia import angular_velocity_of, attitude_rates, to_angular_momentum, to_angular_velocity
 from ..log import fill_with_nan, with_room, write_event
 from ..rest import chatter_speed
 from ..runge_kutta import STAGES, START, VALUES, stage_values
@@ -58,12 +58,7 @@ def _attitude_rates(body: AsymmetricBody, y: Array, values: Array, out: Array) -
     δ' = W (δL - δ × L) for a turn δ of the attitude, so Φ' = W [L]× Φ and Ψ' = W [L]× Ψ + W.
     """
     y[3:7] = values[:4]
-    p, q, r = body_angular_velocity(body, y)
-    w, a, b, c = values[0], values[1], values[2], values[3]
-    out[0] = 0.5 * (-a * p - b * q - c * r)
-    out[1] = 0.5 * (w * p + b * r - c * q)
-    out[2] = 0.5 * (w * q + c * p - a * r)
-    out[3] = 0.5 * (w * r + a * q - b * p)
+    attitude_rates(body, y, out)
     lx, ly, lz = y[10], y[11], y[12]
     for block in (4, 13):
         for k in range(3):
