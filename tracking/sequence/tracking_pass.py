@@ -1,5 +1,5 @@
-"""The tracking pass: from the initial pose to both ends of the clip, from another wherever the die was lost, and all of it again
-for a die whose corners turn out to be rounded."""
+"""The tracking pass: from the initial pose to both ends of the clip, back from its end through the impacts, from another initial
+pose wherever the die was lost, and all of it again for a die whose corners turn out to be rounded."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from ..clip_parameters import (
 )
 from ..footage import FrameSource
 from ..picture import View, flight_from, share_in_view, with_corner_radius, with_lens
-from ..pose import ClipPoses, ManualInitialisation, as_track, same_picture, wholly_in_view
+from ..pose import ClipPoses, ManualInitialisation, as_track, pose_state, refine_pose, same_picture, wholly_in_view
 from ..throw import NoFlightError, measure
 from ..track import Track
 from .depth_reversal import correct_depth_reversals
@@ -77,6 +77,9 @@ beside an impact, neither tells."""
 JOINED_COST = 0.15
 """Mean cost by which poses that continue these may be worse than the poses beside, which do not: single frames hardly distinguish
 a die from its depth reversal, and the motion does."""
+CHANGE_COST = 0.5
+"""Cost of a change between poses that draw different dice, which is a jump: ten frames that are better by SMALLER_COST pay for
+two of them."""
 MAX_RADIUS_TRIALS = 3
 """Most tracking passes with an estimated radius of the corners."""
 SAME_RADIUS = 0.1
@@ -171,6 +174,7 @@ def _track_once(view: View, task: TrackingTask) -> tuple[View, ClipPoses]:
     tracker.view = with_lens(tracker.view, lens)
     _track_both_ways(tracker, task, poses)
     # The tracker's view contains the occluders that it found.
+    poses = _with_those_tracked_back(tracker.view, task, poses)
     poses = _resumed(tracker.view, task, poses)
     return tracker.view, correct_depth_reversals(tracker.view, source, poses, task.unused)
 
@@ -187,6 +191,96 @@ def _track_both_ways(tracker: FrameTracker, task: TrackingTask, poses: ClipPoses
         if back.misses > BACKWARDS_MISSES:
             break
     return back
+
+
+def _with_those_tracked_back(view: View, task: TrackingTask, poses: ClipPoses) -> ClipPoses:
+    """The poses, and on runs of frames those tracked back through the impacts, where these explain the pictures and the motion
+    better. Returns `poses` itself where they do nowhere, or on a film so fast that frames were skipped.
+
+    Behind an impact a wrong pose may explain a few pictures best, and is followed from there. Backwards the die comes to the same
+    impact along another flight, from a pose that is known."""
+    if poses.frame_stride > 1:
+        return poses
+    source, back, out = task.source, _tracked_back(view, task, poses), poses
+    for rows in _runs_apart(view, poses, back):
+        if not poses.known[rows].any() or _explain_better(view, source, back, poses, rows):
+            out = poses.copy() if out is poses else out
+            out.take(rows, back)
+            for k in (int(rows[0]), int(rows[-1]) + 1):
+                out = with_labels_continued(view, out, source.times_s, k)
+    return out
+
+
+def _tracked_back(view: View, task: TrackingTask, poses: ClipPoses) -> ClipPoses:
+    """The poses that tracking finds backwards, from the last one of the clip, and again from an earlier one wherever the die is
+    lost. A flight on which it finds the same is left out up to its first frames."""
+    back, starts = ClipPoses.empty(len(poses.known)), np.flatnonzero(poses.known)
+    begins = np.flatnonzero(poses.known & poses.begins)
+    while len(starts):
+        row, is_same = _track_back_from(view, task, poses, int(starts[-1]), back)
+        if is_same:
+            before = begins[begins <= row]
+            row = min(row, int(before[-1]) + FLIGHT_FRAMES) if len(before) else -1
+        starts = starts[starts <= row]
+    return back
+
+
+def _track_back_from(view: View, task: TrackingTask, poses: ClipPoses, row: int, back: ClipPoses) -> tuple[int, bool]:
+    """Write what tracking finds back from the pose on a row, until the die is lost, or the poses were found again on
+    LEAST_RESUMED_FRAMES in a row: the last row that was not tracked, and whether they were."""
+    source, picture = task.source, np.asarray(task.source.frame(row), np.float32)
+    pose = refine_pose(view, picture, pose_state(poses.position_m[row], poses.rotation[row]), roughly=True)
+    if pose.covariance is None:
+        return row - 1, False
+    start = FrameTracker.from_pose(view, pose, source.times_s, row, task.unused, poses.motion[row])
+    tracker = start.backwards_tracker()
+    back.put(row, pose, poses.motion[row])
+    while row > 0 and tracker.misses <= BACKWARDS_MISSES:
+        rows = np.arange(max(row - LEAST_RESUMED_FRAMES, 0), row)
+        for block in source.blocks(int(rows[0]), row):
+            with block:
+                tracker.track(block.frames, source.times_s, block.first, back)
+        row = int(rows[0])
+        if back.known[rows].all() and not _are_apart(view, poses, back, rows).any():
+            return row - 1, True
+    return row - 1, False
+
+
+def _are_apart(view: View, poses: ClipPoses, back: ClipPoses, rows: NDArray[np.int64]) -> Mask:
+    """(rows,) whether the others draw another die on some rows, or only one of the two has a pose."""
+    apart = poses.known[rows] != back.known[rows]
+    for i in np.flatnonzero(poses.known[rows] & back.known[rows]).tolist():
+        here, there = ((one.position_m[rows[i]], one.rotation[rows[i]]) for one in (poses, back))
+        apart[i] = not same_picture(view, here, there, AGREEMENT_EDGES)
+    return apart
+
+
+def _runs_apart(view: View, poses: ClipPoses, back: ClipPoses) -> list[NDArray[np.int64]]:
+    """Runs of rows on which the others draw another die, or have a pose where the poses have none; split where the pictures
+    prefer one before a row and the other from there on."""
+    apart = back.known & _are_apart(view, poses, back, np.arange(len(poses.known)))
+    rows = np.flatnonzero(apart)
+    prefers = _least_cost(poses, back, apart)[rows]
+    begins = (np.diff(rows) > 1) | (np.diff(prefers.astype(int)) != 0)
+    return [run for run in np.split(rows, np.flatnonzero(begins) + 1) if len(run)]
+
+
+def _least_cost(poses: ClipPoses, back: ClipPoses, apart: Mask) -> Mask:
+    """(n,) rows on which the others belong to the sequence of least cost through both, in which each change from one to the other
+    between two rows on which these lie apart costs CHANGE_COST."""
+    lost = float(np.median(poses.cost_with_edge_noise[poses.known])) + UNEXPLAINED_EXCESS_COST
+    costs = np.stack([np.where(one.known, one.cost_with_edge_noise, lost) for one in (poses, back)], axis=1)
+    total, came_from = costs[0].copy(), np.zeros((len(costs), 2), int)
+    for k in range(1, len(costs)):
+        change = CHANGE_COST if apart[k - 1] and apart[k] else 0.0
+        other = total[::-1] + change
+        came_from[k] = np.where(other < total, [1, 0], [0, 1])
+        total = np.minimum(total, other) + costs[k]
+    chosen = np.zeros(len(costs), int)
+    chosen[-1] = int(np.argmin(total))
+    for k in range(len(costs) - 1, 0, -1):
+        chosen[k - 1] = came_from[k, chosen[k]]
+    return chosen == 1
 
 
 def _resumed(view: View, task: TrackingTask, poses: ClipPoses) -> ClipPoses:
@@ -263,7 +357,8 @@ def _explain_better(
     if not len(both):
         return False
     theirs, ours = (
-        float(one.cost[both].mean()) + _usual_log_scatter(view, source, one, both) for one in (others, poses)
+        float(one.cost_with_edge_noise[both].mean()) + _usual_log_scatter(view, source, one, both)
+        for one in (others, poses)
     )
     return theirs < ours - by
 
@@ -411,7 +506,7 @@ def _flies_as_sharp(view: View, sharp: ClipPoses, source: FrameSource, radius_m:
         throw = measure(track, view.die, view.camera)
     except NoFlightError:
         return False
-    if all(impact.contact != "vertex" for impact in throw.throw.impacts):
+    if not len(throw.chain.shared) or all(impact.contact != "vertex" for impact in throw.throw.impacts):
         return False
     found, sigma = float(throw.chain.shared[0]), throw.chain.contour_sigma_px
     return abs(found) < SHARP_CONTOUR_PX and abs(found) + EXCLUDED_SIGMAS * sigma < abs(found + inset_px)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
@@ -35,7 +36,14 @@ from diethrow.tracking.sequence.impact_trials import widest_sigma
 from diethrow.tracking.sequence.initialisation import find_initial_pose
 from diethrow.tracking.sequence.motion_filter import predict_motion
 from diethrow.tracking.sequence.tracker import ClipFacts, NoDieError, track_clip
-from diethrow.tracking.sequence.tracking_pass import TrackingTask, _resumed, track_once
+from diethrow.tracking.sequence.tracking_pass import (
+    CHANGE_COST,
+    TrackingTask,
+    _least_cost,
+    _resumed,
+    _with_those_tracked_back,
+    track_once,
+)
 from diethrow.tracking.throw.flight_segmentation import decimation_factor
 from diethrow.tracking.throw.measurement import measure_throw
 from diethrow.tracking.throw.smoothing import smooth
@@ -222,6 +230,38 @@ def whole_track() -> tuple[View, TrackingTask, ClipPoses, Throw]:
     tracker.track_to_end(source, poses, lambda frame: None, all_frames=True)
     task = TrackingTask(source, np.zeros(FRAMES, bool), None, lambda frame: None)
     return view, task, _resumed(view, task, poses), throw
+
+
+def test_poses_behind_an_impact_that_explain_pictures_worse_are_replaced_by_those_tracked_back_through_the_next() -> (
+    None
+):
+    view, task, poses, throw = whole_track()
+    assert _with_those_tracked_back(view, task, poses) is poses
+    (first, second) = (int(np.ceil(bounce.time_s * FPS)) for bounce in throw.bounces)
+    wrong = poses.copy()
+    wrong.begins[[first, second]] = True
+    wrong.position_m[first:second] += np.array([3e-3, 0.0, 0.0])
+    wrong.cost[first:second] += 0.5
+    again = _with_those_tracked_back(view, task, wrong)
+    assert off_m(wrong, throw)[first:second].min() > 2e-3
+    assert off_m(again, throw).max() < 1e-3
+    assert np.array_equal(again.position_m[second + 1 :], poses.position_m[second + 1 :])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_sequence_of_least_cost_through_two_tracks_is_the_best_of_all(seed: int) -> None:
+    rng, n = np.random.default_rng(seed), 8
+    tracks = ClipPoses.empty(n), ClipPoses.empty(n)
+    for track in tracks:
+        track.known[:], track.cost[:] = True, rng.uniform(2.0, 3.0, n)
+    apart = rng.random(n) < 0.7
+    costs, changes = np.stack([track.cost for track in tracks]), CHANGE_COST * (apart[1:] & apart[:-1])
+
+    def cost(path: Array) -> float:
+        return float(costs[path, np.arange(n)].sum() + changes[path[1:] != path[:-1]].sum())
+
+    best = min(cost(np.array(path)) for path in itertools.product((0, 1), repeat=n))
+    assert cost(_least_cost(*tracks, apart).astype(int)) == pytest.approx(best, abs=1e-12)
 
 
 def test_poses_that_do_not_explain_their_pictures_are_replaced_with_those_beside_them_that_explain_them_worse() -> None:
