@@ -303,6 +303,16 @@ class ResolvedChain:
     priors: Priors
     """Those that were given, or wider ones if the clip contradicts them."""
 
+    def without_undetermined_errors(self, count: int) -> ResolvedChain:
+        """Itself if an impact ties the flights to the table; fitted without the first `count` errors that frames share if none
+        does: the fall by itself determines those only as well as they stay the same while the die turns."""
+        if not len(self.chain.shared) or any(link.impact is not None for link in self.chain.links):
+            return self
+        priors = replace(self.priors, shared_sigma=self.priors.shared_sigma[count:])
+        observations = self.observations.with_bias_jacobian(self.observations.bias_jacobian[:, :, count:])
+        chain = priors.refit(observations, self.chain, self.chain.links, self.chain.errors)
+        return ResolvedChain(observations, chain, priors)
+
 
 def resolve_contacts(observations: WeightedPoses, chain: FlightChain, die: Die, priors: Priors) -> ResolvedChain:
     """The chain with each joined link an impact at the vertex that explains it best, or free if none does, and with the error

@@ -196,12 +196,12 @@ def measure(
     bias_jacobian = unknown = np.zeros((len(track), 6, 0))
     observations = weighted_poses(track, use, UNMODELLED_SHARE)
     prior = sigma = undetermined = np.zeros(0)
+    count = determined_count(track) if camera is not None else 0
     known = EXACT if known is None or camera is None else known
     calibration = unknown_errors(known, track, die)
     if camera is not None:
         bias_jacobian = shared_bias_jacobian(track, camera, die)
         sigma, undetermined = shared_bias_sigma(track, camera, die), undetermined_bias_sigma(track, camera, die)
-        count = determined_count(track)
         unknown = np.concatenate([bias_jacobian[:, :, :count], calibration.errors.jacobian], axis=2)
         prior = np.append(sigma[:count], np.ones(len(calibration.errors.sources)))
         observations = observations.with_bias_jacobian(unknown[use])
@@ -214,23 +214,25 @@ def measure(
     flying = first_supported_row(stated, die)
     _require_flight(flying)
     priors = Priors(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M)
-    found, impacts, flying = _flights_and_impacts(track, observations, use, flying, die, priors)
+    found, impacts, flying = _flights_and_impacts(track, observations, use, flying, die, priors, count)
     labels = _labels(track, use[:flying], found.observations.quaternion)
     track, chain = _labelled_anew(track, labels), found.chain
     flights = chain.flights
-    # The contour of a supported die lies amid its shadow: flights do not determine its error. Nor does one flight by itself.
-    is_determined = (np.arange(len(use)) < flying) & (len(chain.shared) > 0)
+    # The contour of a supported die lies amid its shadow: flights do not determine its error. Nor do they where none is tied to
+    # the table.
+    left_out = len(prior) - len(chain.shared)
+    is_determined = (np.arange(len(use)) < flying) & (left_out == 0) & (len(prior) > 0)
     left = np.where(is_determined[:, None], undetermined, sigma)
     shared_covariance = _shared_covariance(track, bias_jacobian, left, use, flying)
     # A chain none of whose flights is believed knows nothing of the errors that frames share.
     in_flight = use[:flying]
     believed = _believed(track.time_s[in_flight], track.quaternion[in_flight], chain)
     shared = chain.shared if believed.any() else np.zeros_like(chain.shared)
-    own = slice(len(prior) - len(calibration.errors.sources), None)
+    own = slice(count - left_out, None) if left_out <= count else slice(0, 0)
     shown = shared[own] if believed.any() else shared[:0]
     estimate = CalibrationEstimate.of(calibration, known, shown, chain.shared_covariance[own, own])
     subtracted = np.append(shared[: own.start], estimate.errors.subtracted)[: len(shared)]
-    straight = without_shared_bias(track, unknown[:, :, : len(shared)], subtracted)
+    straight = without_shared_bias(track, unknown[:, :, left_out:], subtracted)
     resting = straight
     if flying < len(use):
         if camera is not None and determines_table_height(chain):
@@ -288,7 +290,7 @@ def _labelled_anew(track: Track, labels: Array) -> Track:
 
 
 def _flights_and_impacts(
-    track: Track, observations: WeightedPoses, use: NDArray[np.int64], flying: int, die: Die, priors: Priors
+    track: Track, observations: WeightedPoses, use: Rows, flying: int, die: Die, priors: Priors, count: int
 ) -> tuple[ResolvedChain, tuple[Impact, ...], int]:
     """The chain of flights through the first `flying` of the rows in use, its impacts, and how many of the rows are in flight:
     fewer if the last impacts turn out to be part of coming to rest."""
@@ -300,7 +302,7 @@ def _flights_and_impacts(
         every = decimation_factor(track, die, use[ahead])
         found = _resolved_chain(
             weighted_poses(track, use[ahead][::every]), observations.rows(ahead), die, priors, every
-        )
+        ).without_undetermined_errors(count)
         believed = _believed(observations.time_s[ahead], found.observations.quaternion, found.chain)
         impacts = _impacts(found.chain, believed, die, limit_s)
         low_row = max(low, MIN_FRAMES)

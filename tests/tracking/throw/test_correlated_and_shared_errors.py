@@ -211,6 +211,23 @@ def test_a_contour_taken_too_far_out_is_found_from_gravity_and_the_table() -> No
     assert off[1] < 0.25 * off[0]
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_a_flight_that_no_impact_ties_to_the_table_leaves_the_contour_open(seed: int) -> None:
+    rng, camera = np.random.default_rng(seed), studio().camera
+    throw = one_flight(rng)
+    track = seen(throw, rng)
+    by_contour = shared_bias_jacobian(track, camera, CUBE)[:, :3, 0]
+    # Other faces form the contour as the die turns. An error that changes with them looks like another fall, which no error of a
+    # constant contour is right to correct.
+    off_px = CONTOUR_SIGMA_PX * np.linspace(-1.0, 1.0, len(track)) ** 2
+    found = measure(replace(track, position_m=track.position_m + off_px[:, None] * by_contour), CUBE, camera)
+    frames, along = found.smoothed_frames, camera.rotation[2]
+    sigma_m = np.sqrt(np.einsum("i,nij,j->n", along, frames.covariance[:, :3, :3], along))
+    assert len(found.chain.shared) == 0
+    assert (sigma_m > 0.99 * CONTOUR_SIGMA_PX * np.abs(by_contour @ along)).all()
+    assert (np.abs((frames.position_m - throw.poses(frames.time_s)[0]) @ along) < 2.0 * sigma_m).all()
+
+
 def test_measured_frames_do_not_contain_the_shared_error() -> None:
     camera = studio().camera
     throw, track = with_contour_error(0.08)
