@@ -26,6 +26,7 @@ from ..surface_marks import labels_by_marks
 from ..throw import OFF_FLIGHT_RAD
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
 
 SAME_DEPARTURE = 1.1
 """Factor on the least departure from an even rotation within which others count as even: the slowest of them is taken. About an
@@ -34,6 +35,11 @@ UNEVEN_RAD = np.radians(10.0)
 """Departure [rad] from an even rotation by which labels are surely wrong: single poses err by a few degrees."""
 LEAST_DEPARTURE_RAD = 1e-6
 """Departure [rad] up to which all count as even."""
+SURE_ROWS = 3
+"""Rows from one pose to the next up to which the turn between them may decide."""
+SURE_TURN = 0.25
+"""Turn between them, in the least angle of a symmetry, below which their labels agree: with others the die would have turned by
+three times as much at the least."""
 FRAMES_PER_GROUP = 40
 """Frames from which the marks are learned that one labelling shows: the noise of their mean is a sixth of one frame's."""
 
@@ -106,10 +112,10 @@ def with_labels_of_marks(view: View, source: FrameSource, poses: ClipPoses, thro
     times_s = exposure_times_s(view, source, poses)
     open_s = np.array([impact.time_s for impact in throw.impacts if impact.contact == "unresolved"])
     is_lost = ~poses.interpolated().known
-    groups = np.searchsorted(open_s, times_s) + np.cumsum(is_lost & ~np.append(False, is_lost[:-1]))
+    stretches = np.searchsorted(open_s, times_s) + np.cumsum(is_lost & ~np.append(False, is_lost[:-1]))
     track = as_track(view, source, poses, wholly_in_view(view, poses))
     rows = np.flatnonzero(track.tracked)
-    groups = np.unique(groups, return_inverse=True)[1]
+    groups = _groups(view, poses, rows, stretches)
     chosen = [
         mine[np.unique(np.linspace(0, len(mine) - 1, min(len(mine), FRAMES_PER_GROUP)).astype(int))]
         for k in range(int(groups.max()) + 1)
@@ -120,6 +126,18 @@ def with_labels_of_marks(view: View, source: FrameSource, poses: ClipPoses, thro
     if np.allclose(labels, np.eye(3)):
         return poses
     return replace(poses, rotation=poses.rotation @ labels[groups])
+
+
+def _groups(view: View, poses: ClipPoses, rows: Rows, stretches: Rows) -> Rows:
+    """(n,) numbers of the groups of frames that one labelling holds for, from those of the stretches (n,) between contacts and
+    gaps: stretches between whose poses, on some rows, the die turns so little that no other labelling is possible are one."""
+    rotation = poses.rotation[rows]
+    turn_rad = angle_between(rotation[:-1], rotation[1:])
+    least_rad = np.sort(angle_between(np.eye(3), view.symmetries))[1:].min(initial=np.inf)
+    is_sure = (np.diff(rows) <= SURE_ROWS) & (turn_rad < SURE_TURN * least_rad)
+    begins = np.append(False, (np.diff(stretches[rows]) != 0) & ~is_sure)
+    behind = np.searchsorted(rows, np.arange(len(stretches)), side="right")
+    return np.asarray(np.cumsum(begins)[np.maximum(behind - 1, 0)])
 
 
 def with_labels_continued(view: View, poses: ClipPoses, times_s: Array, k: int) -> ClipPoses:

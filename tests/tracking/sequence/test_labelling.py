@@ -10,6 +10,7 @@ from footage_of_throws import DICE, FPS, studio
 from marked_throws import FRAMES as MARKED_FRAMES
 from marked_throws import VIEW as MARKED_VIEW
 from marked_throws import marked_film, tossed
+from numpy.typing import NDArray
 from random_throws import random_quaternion
 from replay_records import ArrayClip
 
@@ -26,6 +27,9 @@ from diethrow.tracking.sequence.labelling import (
     with_labels_of_flights,
     with_labels_of_marks,
 )
+from diethrow.tracking.track import Track
+
+Array = NDArray[np.float64]
 
 FRAMES, STRUCK = 24, 11.5
 """Frames of a die that spins, and when it strikes the table, in frames."""
@@ -123,6 +127,27 @@ def test_marks_carry_the_labelling_through_a_contact_or_a_gap_that_leaves_it_ope
     found = with_labels_of_marks(MARKED_VIEW, source, other, throw)
     assert found.rotation[seen.known] == pytest.approx(seen.rotation[seen.known], abs=1e-12)
     assert with_labels_of_marks(MARKED_VIEW, source, seen, throw) is seen
+
+
+@pytest.mark.parametrize("lost", [0, 2, 6])
+def test_where_the_die_hardly_turns_between_two_frames_marks_do_not_change_its_labelling(
+    lost: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source, seen = tossed_and_seen()
+    seen.known[45 : 45 + lost] = False
+    middle_s, nothing = 44.5 / FPS, np.full(3, np.nan)
+    unresolved = Impact(middle_s, "unresolved", (), nothing[:2], nothing, np.nan, np.nan, np.nan, np.nan, 0, 0)
+    throw = Throw((replace(tossed(), end_s=middle_s), replace(tossed(), end_s=np.inf)), (unresolved,))
+    asked: list[int] = []
+
+    def other_marks(view: View, images: object, track: Track, rates: Array, groups: NDArray[np.int64]) -> list[Array]:
+        asked.append(int(groups.max()) + 1)
+        return [np.eye(3), *[view.symmetries[7]] * int(groups.max())]
+
+    monkeypatch.setattr("diethrow.tracking.sequence.labelling.labels_by_marks", other_marks)
+    found = with_labels_of_marks(MARKED_VIEW, source, seen, throw)
+    assert (found is seen) == (lost < 3)
+    assert asked == [1 if lost < 3 else 2]
 
 
 @pytest.mark.parametrize("shape", SHAPES)
