@@ -24,7 +24,7 @@ from ..pose import ClipPoses, Pose, as_track, half_turn_about_sight, reversed_po
 from ..throw import UNMODELLED_SHARE, weighted_poses
 from ..track import Track
 from .frame_to_frame import FrameTracker
-from .labelling import with_labels_continued
+from .labelling import with_rows_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -64,6 +64,8 @@ a dark die whose edges hardly show may prefer the wrong one. Its chi-square was 
 JUMP_RAD = 0.35
 """Rotation [rad] between neighbouring frames, beyond that by their spins, at which one of them is taken for a reversal. An impact
 that changes the spin by 350 rad/s turns a die by as much within half a frame at 500 frames/s; a false jump costs time alone."""
+END_FRAMES = 2
+"""Frames at either end of a run that may lie beyond an impact."""
 MIN_COVERAGE = 0.9
 """Share of the frames of a run over which the reversal must be tracked."""
 MAX_TRIALS = 3
@@ -276,9 +278,12 @@ def _chi2_ratio(view: View, source: FrameSource, poses: ClipPoses, other: ClipPo
     covered = both[run].sum() >= MIN_COVERAGE * poses.known[run].sum()
     if not covered or both.sum() < MOTION_FRAMES:
         return np.inf, np.inf
-    everywhere = 0, len(both)
-    alone = tuple(_median_chi2(view, source, one, both, everywhere) for one in (poses, other))
-    pairs = (alone, _chi2_about(view, source, poses, other, run))
+    everywhere, inner = (0, len(both)), (run.start + END_FRAMES, run.stop - END_FRAMES)
+    before, after = (_median_chi2(view, source, one, both, everywhere) for one in (poses, other))
+    if both[slice(*inner)].sum() >= MOTION_FRAMES:
+        # A frame from beyond an impact at an end of the run is on no motion with the others.
+        before = min(before, _median_chi2(view, source, poses, both, inner))
+    pairs = ((before, after), _chi2_about(view, source, poses, other, run))
     flying = [(after / before, after) for before, after in pairs if 0.0 < after < FLIGHT_CHI2 and before > 0.0]
     return min(flying, default=(np.inf, np.inf))
 
@@ -363,7 +368,4 @@ def _merged(view: View, poses: ClipPoses, other: ClipPoses, run: slice, times_s:
     rows = np.flatnonzero(other.known & (inside | ~poses.known | (other.cost < poses.cost)))
     out = poses.copy()
     out.known[inside] = False
-    out.take(rows, other)
-    for k in (int(rows[0]), int(rows[-1]) + 1):
-        out = with_labels_continued(view, out, times_s, k)
-    return out
+    return with_rows_of(view, out, other, rows, times_s)

@@ -112,10 +112,12 @@ def with_labels_of_marks(view: View, source: FrameSource, poses: ClipPoses, thro
     times_s = exposure_times_s(view, source, poses)
     open_s = np.array([impact.time_s for impact in throw.impacts if impact.contact == "unresolved"])
     is_lost = ~poses.interpolated().known
-    stretches = np.searchsorted(open_s, times_s) + np.cumsum(is_lost & ~np.append(False, is_lost[:-1]))
+    segments = np.searchsorted(open_s, times_s) + np.cumsum(is_lost & ~np.append(False, is_lost[:-1]))
     track = as_track(view, source, poses, wholly_in_view(view, poses))
     rows = np.flatnonzero(track.tracked)
-    groups = _groups(view, poses, rows, stretches)
+    if len(view.symmetries) == 1 or not len(rows):
+        return poses
+    groups = _groups(view, poses, times_s, rows, segments)
     chosen = [
         mine[np.unique(np.linspace(0, len(mine) - 1, min(len(mine), FRAMES_PER_GROUP)).astype(int))]
         for k in range(int(groups.max()) + 1)
@@ -128,16 +130,29 @@ def with_labels_of_marks(view: View, source: FrameSource, poses: ClipPoses, thro
     return replace(poses, rotation=poses.rotation @ labels[groups])
 
 
-def _groups(view: View, poses: ClipPoses, rows: Rows, stretches: Rows) -> Rows:
-    """(n,) numbers of the groups of frames that one labelling holds for, from those of the stretches (n,) between contacts and
-    gaps: stretches between whose poses, on some rows, the die turns so little that no other labelling is possible are one."""
+def _groups(view: View, poses: ClipPoses, times_s: Array, rows: Rows, segments: Rows) -> Rows:
+    """(n,) numbers of the groups of frames that one labelling holds for, from those of the segments (n,) between contacts and
+    gaps. Segments are one group if the die, by its spin and by its poses, turns so little between them that no other labelling
+    is possible. `rows` are those of poses that can be compared; the others go with one of their own segment."""
     rotation = poses.rotation[rows]
-    turn_rad = angle_between(rotation[:-1], rotation[1:])
+    spin_rad_s = np.linalg.norm(poses.motion[rows, 3:], axis=1)
+    spun_rad = np.maximum(spin_rad_s[:-1], spin_rad_s[1:]) * np.diff(times_s[rows])
+    turn_rad = np.maximum(angle_between(rotation[:-1], rotation[1:]), spun_rad)
     least_rad = np.sort(angle_between(np.eye(3), view.symmetries))[1:].min(initial=np.inf)
     is_sure = (np.diff(rows) <= SURE_ROWS) & (turn_rad < SURE_TURN * least_rad)
-    begins = np.append(False, (np.diff(stretches[rows]) != 0) & ~is_sure)
-    behind = np.searchsorted(rows, np.arange(len(stretches)), side="right")
-    return np.asarray(np.cumsum(begins)[np.maximum(behind - 1, 0)])
+    group = np.cumsum(np.append(False, (np.diff(segments[rows]) != 0) & ~is_sure))
+    behind = np.searchsorted(rows, np.arange(len(segments)))
+    before, after = np.maximum(behind - 1, 0), np.minimum(behind, len(rows) - 1)
+    return np.asarray(group[np.where(segments[rows[after]] == segments, after, before)])
+
+
+def with_rows_of(view: View, poses: ClipPoses, others: ClipPoses, rows: Rows, times_s: Array) -> ClipPoses:
+    """The poses with some rows, in ascending order, of others. The labelling of each part continues that of the frames before."""
+    out = poses.copy()
+    out.take(rows, others)
+    for k in (int(rows[0]), int(rows[-1]) + 1):
+        out = with_labels_continued(view, out, times_s, k)
+    return out
 
 
 def with_labels_continued(view: View, poses: ClipPoses, times_s: Array, k: int) -> ClipPoses:

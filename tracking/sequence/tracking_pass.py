@@ -44,10 +44,11 @@ from .initialisation import (
     initial_pose_by_hand,
     log_scatter,
 )
-from .labelling import with_labels_continued
+from .labelling import with_rows_of
 from .places import PlacesBeside
 
 Mask = NDArray[np.bool_]
+Rows = NDArray[np.int64]
 
 LEAST_RESUMED_FRAMES = FULL_STAGE
 """Frames without a pose that explains them from which on an initial pose is looked for among them: as many as show whether one
@@ -69,17 +70,19 @@ NO_FLIGHT_LOG_SCATTER = 1.0
 random clips that it was chosen on, right poses of flights without an impact came to 1.0 at the most; wrong ones of a well-rounded
 die, which hardly shows how it lies, may come to less."""
 SMALLER_COST = 0.1
-"""Mean cost, with the logarithm of their scatter about flights, by which other poses must be better to replace those that do not
-explain their pictures or lie on no flight."""
+"""Mean cost with the noise of edges, and the logarithm of the scatter about flights, by which other poses must be better to
+replace those that do not explain their pictures or lie on no flight."""
 CONTESTED_SHARE = 0.5
 """Share of the frames of other poses that had poses before, above which the others must explain the pictures better: on fewer,
 beside an impact, neither tells."""
 JOINED_COST = 0.15
-"""Mean cost by which poses that continue these may be worse than the poses beside, which do not: single frames hardly distinguish
+"""The same by which poses that continue these may be worse than the poses beside, which do not: single frames hardly distinguish
 a die from its depth reversal, and the motion does."""
 CHANGE_COST = 0.5
-"""Cost of a change between poses that draw different dice, which is a jump: ten frames that are better by SMALLER_COST pay for
-two of them."""
+"""Cost of a change from forward to backward poses or back where they differ, which is a jump of the die: ten frames that are
+better by SMALLER_COST make up for two."""
+LOST_EXCESS_COST = 0.5
+"""Cost of a row without a pose over that of the median one: a pose that costs more is not taken for one that is missing."""
 MAX_RADIUS_TRIALS = 3
 """Most tracking passes with an estimated radius of the corners."""
 SAME_RADIUS = 0.1
@@ -174,7 +177,7 @@ def _track_once(view: View, task: TrackingTask) -> tuple[View, ClipPoses]:
     tracker.view = with_lens(tracker.view, lens)
     _track_both_ways(tracker, task, poses)
     # The tracker's view contains the occluders that it found.
-    poses = _with_those_tracked_back(tracker.view, task, poses)
+    poses = _with_backward_poses(tracker.view, task, poses)
     poses = _resumed(tracker.view, task, poses)
     return tracker.view, correct_depth_reversals(tracker.view, source, poses, task.unused)
 
@@ -193,87 +196,92 @@ def _track_both_ways(tracker: FrameTracker, task: TrackingTask, poses: ClipPoses
     return back
 
 
-def _with_those_tracked_back(view: View, task: TrackingTask, poses: ClipPoses) -> ClipPoses:
-    """The poses, and on runs of frames those tracked back through the impacts, where these explain the pictures and the motion
+def _with_backward_poses(view: View, task: TrackingTask, poses: ClipPoses) -> ClipPoses:
+    """The poses, and on runs of frames those tracked backwards through the impacts, where these explain pictures and motion
     better. Returns `poses` itself where they do nowhere, or on a film so fast that frames were skipped.
 
     Behind an impact a wrong pose may explain a few pictures best, and is followed from there. Backwards the die comes to the same
     impact along another flight, from a pose that is known."""
     if poses.frame_stride > 1:
         return poses
-    source, back, out = task.source, _tracked_back(view, task, poses), poses
-    for rows in _runs_apart(view, poses, back):
-        if not poses.known[rows].any() or _explain_better(view, source, back, poses, rows):
-            out = poses.copy() if out is poses else out
-            out.take(rows, back)
-            for k in (int(rows[0]), int(rows[-1]) + 1):
-                out = with_labels_continued(view, out, source.times_s, k)
+    source, backward, out = task.source, _backward_poses(view, task, poses), poses
+    for rows, is_preferred in _differing_runs(view, poses, backward):
+        is_contested = poses.known[rows].mean() > CONTESTED_SHARE
+        if _explain_better(view, source, backward, poses, rows) if is_contested else is_preferred:
+            out = with_rows_of(view, out, backward, rows, source.times_s)
     return out
 
 
-def _tracked_back(view: View, task: TrackingTask, poses: ClipPoses) -> ClipPoses:
+def _backward_poses(view: View, task: TrackingTask, poses: ClipPoses) -> ClipPoses:
     """The poses that tracking finds backwards, from the last one of the clip, and again from an earlier one wherever the die is
-    lost. A flight on which it finds the same is left out up to its first frames."""
-    back, starts = ClipPoses.empty(len(poses.known)), np.flatnonzero(poses.known)
+    lost. A flight on which it finds the same poses is left out up to its first frames."""
+    backward, starts = ClipPoses.empty(len(poses.known)), np.flatnonzero(poses.known)
     begins = np.flatnonzero(poses.known & poses.begins)
     while len(starts):
-        row, is_same = _track_back_from(view, task, poses, int(starts[-1]), back)
-        if is_same:
+        row, has_rejoined = _track_backwards(view, task, poses, int(starts[-1]), backward)
+        if has_rejoined:
             before = begins[begins <= row]
             row = min(row, int(before[-1]) + FLIGHT_FRAMES) if len(before) else -1
         starts = starts[starts <= row]
-    return back
+    # Backwards a flight begins on its last row, behind which the next one does.
+    backward.begins[1:], backward.begins[0] = backward.begins[:-1].copy(), False
+    return backward
 
 
-def _track_back_from(view: View, task: TrackingTask, poses: ClipPoses, row: int, back: ClipPoses) -> tuple[int, bool]:
-    """Write what tracking finds back from the pose on a row, until the die is lost, or the poses were found again on
-    LEAST_RESUMED_FRAMES in a row: the last row that was not tracked, and whether they were."""
-    source, picture = task.source, np.asarray(task.source.frame(row), np.float32)
-    pose = refine_pose(view, picture, pose_state(poses.position_m[row], poses.rotation[row]), roughly=True)
+def _track_backwards(
+    view: View, task: TrackingTask, poses: ClipPoses, row: int, backward: ClipPoses
+) -> tuple[int, bool]:
+    """Write what tracking finds backwards from the pose on a row, until the die is lost, or the same poses as before were found
+    on LEAST_RESUMED_FRAMES in a row. Returns the row to go on from, and whether these were found."""
+    source, motion = task.source, poses.motion[row]
+    initial = pose_state(poses.position_m[row], poses.rotation[row], *np.split(motion, 2))
+    pose = refine_pose(view, np.asarray(source.frame(row), np.float32), initial, coarse=0, roughly=True)
     if pose.covariance is None:
         return row - 1, False
-    start = FrameTracker.from_pose(view, pose, source.times_s, row, task.unused, poses.motion[row])
-    tracker = start.backwards_tracker()
-    back.put(row, pose, poses.motion[row])
-    while row > 0 and tracker.misses <= BACKWARDS_MISSES:
-        rows = np.arange(max(row - LEAST_RESUMED_FRAMES, 0), row)
-        for block in source.blocks(int(rows[0]), row):
-            with block:
-                tracker.track(block.frames, source.times_s, block.first, back)
-        row = int(rows[0])
-        if back.known[rows].all() and not _are_apart(view, poses, back, rows).any():
-            return row - 1, True
-    return row - 1, False
+    rates = motion if motion.any() else None
+    tracker = FrameTracker.from_pose(view, pose, source.times_s, row, task.unused, rates).backwards_tracker()
+    backward.put(row, pose, motion)
+    same = 0
+    for block in source.blocks_backwards(row):
+        with block:
+            for stop in range(len(block.frames), 0, -LEAST_RESUMED_FRAMES):
+                some = slice(max(stop - LEAST_RESUMED_FRAMES, 0), stop)
+                row = block.first + some.start
+                tracker.track(block.frames[some], source.times_s, row, backward)
+                rows = np.arange(row, block.first + stop)
+                is_same = backward.known[rows].all() and not _differ(view, poses, backward, rows).any()
+                same = same + len(rows) if is_same else 0
+                if same >= LEAST_RESUMED_FRAMES or tracker.misses > BACKWARDS_MISSES:
+                    return row - 1, is_same
+    return -1, False
 
 
-def _are_apart(view: View, poses: ClipPoses, back: ClipPoses, rows: NDArray[np.int64]) -> Mask:
-    """(rows,) whether the others draw another die on some rows, or only one of the two has a pose."""
-    apart = poses.known[rows] != back.known[rows]
-    for i in np.flatnonzero(poses.known[rows] & back.known[rows]).tolist():
-        here, there = ((one.position_m[rows[i]], one.rotation[rows[i]]) for one in (poses, back))
-        apart[i] = not same_picture(view, here, there, AGREEMENT_EDGES)
-    return apart
+def _differ(view: View, poses: ClipPoses, others: ClipPoses, rows: Rows) -> Mask:
+    """(rows,) whether others show another die than the poses on some rows, or only one of the two has a pose."""
+    out = poses.known[rows] != others.known[rows]
+    for i in np.flatnonzero(poses.known[rows] & others.known[rows]).tolist():
+        here, there = ((one.position_m[rows[i]], one.rotation[rows[i]]) for one in (poses, others))
+        out[i] = not same_picture(view, here, there, AGREEMENT_EDGES)
+    return out
 
 
-def _runs_apart(view: View, poses: ClipPoses, back: ClipPoses) -> list[NDArray[np.int64]]:
-    """Runs of rows on which the others draw another die, or have a pose where the poses have none; split where the pictures
-    prefer one before a row and the other from there on."""
-    apart = back.known & _are_apart(view, poses, back, np.arange(len(poses.known)))
-    rows = np.flatnonzero(apart)
-    prefers = _least_cost(poses, back, apart)[rows]
-    begins = (np.diff(rows) > 1) | (np.diff(prefers.astype(int)) != 0)
-    return [run for run in np.split(rows, np.flatnonzero(begins) + 1) if len(run)]
+def _differing_runs(view: View, poses: ClipPoses, backward: ClipPoses) -> list[tuple[Rows, bool]]:
+    """Runs of rows on which the backward poses differ or are alone, each with whether the sequence of least cost takes them."""
+    differs = backward.known & _differ(view, poses, backward, np.arange(len(poses.known)))
+    rows, is_preferred = np.flatnonzero(differs), _prefers_backward(poses, backward, differs)
+    begins = (np.diff(rows) > 1) | (np.diff(is_preferred[rows].astype(int)) != 0)
+    runs = np.split(rows, np.flatnonzero(begins) + 1)
+    return [(run, bool(is_preferred[run[0]])) for run in runs if len(run)]
 
 
-def _least_cost(poses: ClipPoses, back: ClipPoses, apart: Mask) -> Mask:
-    """(n,) rows on which the others belong to the sequence of least cost through both, in which each change from one to the other
-    between two rows on which these lie apart costs CHANGE_COST."""
-    lost = float(np.median(poses.cost_with_edge_noise[poses.known])) + UNEXPLAINED_EXCESS_COST
-    costs = np.stack([np.where(one.known, one.cost_with_edge_noise, lost) for one in (poses, back)], axis=1)
+def _prefers_backward(poses: ClipPoses, backward: ClipPoses, differs: Mask) -> Mask:
+    """(n,) rows on which the sequence of least cost through both takes the backward pose. Every change from one to the other
+    between two rows on which they differ costs CHANGE_COST, and a row without a pose LOST_EXCESS_COST more than usual."""
+    lost = float(np.median(poses.cost_with_edge_noise[poses.known])) + LOST_EXCESS_COST
+    costs = np.stack([np.where(one.known, one.cost_with_edge_noise, lost) for one in (poses, backward)], axis=1)
     total, came_from = costs[0].copy(), np.zeros((len(costs), 2), int)
     for k in range(1, len(costs)):
-        change = CHANGE_COST if apart[k - 1] and apart[k] else 0.0
-        other = total[::-1] + change
+        other = total[::-1] + (CHANGE_COST if differs[k - 1] and differs[k] else 0.0)
         came_from[k] = np.where(other < total, [1, 0], [0, 1])
         total = np.minimum(total, other) + costs[k]
     chosen = np.zeros(len(costs), int)
@@ -310,10 +318,7 @@ def _resumed(view: View, task: TrackingTask, poses: ClipPoses) -> ClipPoses:
             _track_on(tracker, task, others, poses, lost.stop, 1)
         if others.known[lost.start]:
             _track_on(back, task, others, poses, lost.start - 1, -1)
-        rows = np.flatnonzero(others.known)
-        poses.take(rows, others, rows)
-        for k in (int(rows[0]), int(rows[-1]) + 1):
-            poses = with_labels_continued(view, poses, source.times_s, k)
+        poses = with_rows_of(view, poses, others, np.flatnonzero(others.known), source.times_s)
     return poses
 
 
@@ -336,18 +341,14 @@ def _track_on(
         row += step * LEAST_RESUMED_FRAMES
 
 
-def _agree(view: View, others: ClipPoses, poses: ClipPoses, rows: NDArray[np.int64]) -> bool:
+def _agree(view: View, others: ClipPoses, poses: ClipPoses, rows: Rows) -> bool:
     """Whether others draw the same die as the poses on the last of some rows that both have."""
-    both = rows[others.known[rows] & poses.known[rows]]
-    if not len(both):
-        return False
-    k = int(both[-1])
-    here, there = ((one.position_m[k], one.rotation[k]) for one in (others, poses))
-    return same_picture(view, here, there, AGREEMENT_EDGES)
+    last = rows[others.known[rows] & poses.known[rows]][-1:]
+    return len(last) > 0 and not _differ(view, poses, others, last).any()
 
 
 def _explain_better(
-    view: View, source: FrameSource, others: ClipPoses, poses: ClipPoses, rows: NDArray[np.int64],
+    view: View, source: FrameSource, others: ClipPoses, poses: ClipPoses, rows: Rows,
     by: float = SMALLER_COST,
 ) -> bool:  # fmt: skip
     """Whether others explain the pictures and the motion on some rows better than the poses by a mean cost, on the rows that both
@@ -363,7 +364,7 @@ def _explain_better(
     return theirs < ours - by
 
 
-def _usual_log_scatter(view: View, source: FrameSource, poses: ClipPoses, rows: NDArray[np.int64]) -> float:
+def _usual_log_scatter(view: View, source: FrameSource, poses: ClipPoses, rows: Rows) -> float:
     """`log_scatter` of poses on some rows: the median over windows, of which those with an impact tell nothing; 0 if there are
     too few rows."""
     found = [log_scatter(view, poses, source.times_s, window) for window in _windows(rows)]
@@ -413,7 +414,7 @@ def _of_no_flight(view: View, source: FrameSource, poses: ClipPoses) -> Mask:
     return out
 
 
-def _windows(rows: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+def _windows(rows: Rows) -> list[Rows]:
     """Overlapping windows of FLIGHT_FRAMES of some rows, or all of them if there are fewer; none if these are fewer than
     LEAST_RESUMED_FRAMES."""
     if len(rows) < LEAST_RESUMED_FRAMES:
@@ -525,20 +526,22 @@ def _radius_from_pictures(
 def radius_in_flight(
     view: View, source: FrameSource, track: Track, corners: CornerRadius
 ) -> tuple[CornerRadius, float]:
-    """The radius of the corners from the flights of a track, and the contour error [px] that remains; `corners` itself and 0 if
-    the flights do not determine it better.
+    """The radius of the corners from the flights of a track, and the contour error [px] that remains; `corners` itself if the
+    flights do not determine it better, with the error that its own standard error makes where no impact ties them to the table,
+    and otherwise 0.
 
     The flights are free to correct their distance. That leaves more ways to join them. Where these fail, the pictures contradict
     the flights, or the flights the radius: the poses then do better without that freedom."""
     p, R = track.position_m[track.tracked], matrix_from_quat(track.quaternion[track.tracked])
     if not len(p):
         return corners, 0.0
+    stated_px = contour_sigma_px(view, corners.sigma_m, p, R)
     try:
-        found = measure(
-            replace(track, contour_sigma_px=contour_sigma_px(view, corners.sigma_m, p, R)), view.die, view.camera
-        )
+        found = measure(replace(track, contour_sigma_px=stated_px), view.die, view.camera)
     except NoFlightError:
         return corners, 0.0
+    if not len(found.chain.shared):
+        return corners, stated_px
     looks = sample_in_flight(view, source.frame, track, found.throw)
     again = radius_on_flights(view, looks, corners.radius_m, found.chain.contour_sigma_px)
     if again is None or again.sigma_m > corners.sigma_m or again.radius_m == 0.0:

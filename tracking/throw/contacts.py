@@ -304,13 +304,14 @@ class ResolvedChain:
     """Those that were given, or wider ones if the clip contradicts them."""
 
     def without_undetermined_errors(self, count: int) -> ResolvedChain:
-        """Itself if an impact ties the flights to the table; fitted without the first `count` errors that frames share if none
-        does: the fall by itself determines those only as well as they stay the same while the die turns."""
+        """Itself if it has an impact at one corner, which ties it to the table. Otherwise refitted without the first `count`
+        shared errors: they vary as the die turns, and free fall by itself cannot separate them from the motion."""
         if not len(self.chain.shared) or any(link.impact is not None for link in self.chain.links):
             return self
         priors = replace(self.priors, shared_sigma=self.priors.shared_sigma[count:])
         observations = self.observations.with_bias_jacobian(self.observations.bias_jacobian[:, :, count:])
         chain = priors.refit(observations, self.chain, self.chain.links, self.chain.errors)
+        chain = priors.refit(observations, chain, chain.links, _error_model_of(observations, chain))
         return ResolvedChain(observations, chain, priors)
 
 

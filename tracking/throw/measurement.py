@@ -218,8 +218,8 @@ def measure(
     labels = _labels(track, use[:flying], found.observations.quaternion)
     track, chain = _labelled_anew(track, labels), found.chain
     flights = chain.flights
-    # The contour of a supported die lies amid its shadow: flights do not determine its error. Nor do they where none is tied to
-    # the table.
+    # The contour of a supported die lies amid its shadow: flights do not determine its error. Nor do they without an impact that
+    # ties them to the table.
     left_out = len(prior) - len(chain.shared)
     is_determined = (np.arange(len(use)) < flying) & (left_out == 0) & (len(prior) > 0)
     left = np.where(is_determined[:, None], undetermined, sigma)
@@ -242,9 +242,13 @@ def measure(
         flights, impacts = _with_supported_motion(flights, impacts, poses, last_s, die)
     without = Throw(flights, impacts)
     throw = _with_shared_covariance(without, track.time_s[use[:flying]], shared_covariance[use[:flying]])
-    return MeasuredThrow(
+    measured = MeasuredThrow(
         throw, straight, resting, chain, use[:flying], shared_covariance, without, die, labels, estimate
     )
+    # Flights determine nothing of frames that none of them explains: the contour of a die that rocks lies amid its shadow too.
+    unexplained = measured.unexplained[:, None, None]
+    every = _shared_covariance(track, bias_jacobian, np.broadcast_to(sigma, left.shape), use, flying)
+    return replace(measured, shared_covariance=np.where(unexplained, every, shared_covariance))
 
 
 def _usable_rows(track: Track, die: Die, every: int) -> NDArray[np.int64]:

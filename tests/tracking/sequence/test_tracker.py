@@ -38,10 +38,11 @@ from diethrow.tracking.sequence.motion_filter import predict_motion
 from diethrow.tracking.sequence.tracker import ClipFacts, NoDieError, track_clip
 from diethrow.tracking.sequence.tracking_pass import (
     CHANGE_COST,
+    LOST_EXCESS_COST,
     TrackingTask,
-    _least_cost,
+    _prefers_backward,
     _resumed,
-    _with_those_tracked_back,
+    _with_backward_poses,
     track_once,
 )
 from diethrow.tracking.throw.flight_segmentation import decimation_factor
@@ -232,20 +233,19 @@ def whole_track() -> tuple[View, TrackingTask, ClipPoses, Throw]:
     return view, task, _resumed(view, task, poses), throw
 
 
-def test_poses_behind_an_impact_that_explain_pictures_worse_are_replaced_by_those_tracked_back_through_the_next() -> (
-    None
-):
+def test_backward_poses_replace_wrong_ones_behind_an_impact() -> None:
     view, task, poses, throw = whole_track()
-    assert _with_those_tracked_back(view, task, poses) is poses
+    assert _with_backward_poses(view, task, poses) is poses
     (first, second) = (int(np.ceil(bounce.time_s * FPS)) for bounce in throw.bounces)
     wrong = poses.copy()
     wrong.begins[[first, second]] = True
     wrong.position_m[first:second] += np.array([3e-3, 0.0, 0.0])
     wrong.cost[first:second] += 0.5
-    again = _with_those_tracked_back(view, task, wrong)
+    again = _with_backward_poses(view, task, wrong)
     assert off_m(wrong, throw)[first:second].min() > 2e-3
     assert off_m(again, throw).max() < 1e-3
     assert np.array_equal(again.position_m[second + 1 :], poses.position_m[second + 1 :])
+    assert np.abs(np.flatnonzero(again.begins)[:, None] - [first, second]).min(axis=1).max() <= 1
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -253,15 +253,16 @@ def test_the_sequence_of_least_cost_through_two_tracks_is_the_best_of_all(seed: 
     rng, n = np.random.default_rng(seed), 8
     tracks = ClipPoses.empty(n), ClipPoses.empty(n)
     for track in tracks:
-        track.known[:], track.cost[:] = True, rng.uniform(2.0, 3.0, n)
-    apart = rng.random(n) < 0.7
-    costs, changes = np.stack([track.cost for track in tracks]), CHANGE_COST * (apart[1:] & apart[:-1])
+        track.known[:], track.cost[:] = rng.random(n) < 0.8, rng.uniform(2.0, 3.0, n)
+    apart, lost = rng.random(n) < 0.7, float(np.median(tracks[0].cost[tracks[0].known])) + LOST_EXCESS_COST
+    costs = np.stack([np.where(track.known, track.cost, lost) for track in tracks])
+    changes = CHANGE_COST * (apart[1:] & apart[:-1])
 
     def cost(path: Array) -> float:
         return float(costs[path, np.arange(n)].sum() + changes[path[1:] != path[:-1]].sum())
 
     best = min(cost(np.array(path)) for path in itertools.product((0, 1), repeat=n))
-    assert cost(_least_cost(*tracks, apart).astype(int)) == pytest.approx(best, abs=1e-12)
+    assert cost(_prefers_backward(*tracks, apart).astype(int)) == pytest.approx(best, abs=1e-12)
 
 
 def test_poses_that_do_not_explain_their_pictures_are_replaced_with_those_beside_them_that_explain_them_worse() -> None:

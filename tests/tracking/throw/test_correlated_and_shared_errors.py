@@ -228,6 +228,21 @@ def test_a_flight_that_no_impact_ties_to_the_table_leaves_the_contour_open(seed:
     assert (np.abs((frames.position_m - throw.poses(frames.time_s)[0]) @ along) < 2.0 * sigma_m).all()
 
 
+def test_frames_that_no_flight_explains_keep_what_is_known_of_the_contour() -> None:
+    camera, (throw, rng) = studio().camera, lone(2)
+    track = seen(throw, rng, noise=0.3)
+    off_m = np.where(np.arange(len(track)) < 8, 0.03, 0.0)[:, None] * [0.0, 1.0, 1.0]
+    found = measure(replace(track, position_m=track.position_m + off_m), CUBE, camera)
+    np.testing.assert_array_equal(np.flatnonzero(found.unexplained), np.arange(8))
+    by_contour = shared_bias_jacobian(found.frames, camera, CUBE)[:, :3, 0] @ camera.rotation[2]
+    sigma_m = np.sqrt(
+        np.einsum("i,nij,j->n", camera.rotation[2], found.shared_covariance[:, :3, :3], camera.rotation[2])
+    )
+    before_m = CONTOUR_SIGMA_PX * np.abs(by_contour)
+    assert (sigma_m > 0.99 * before_m)[found.unexplained].all()
+    assert (sigma_m < 0.3 * before_m)[~found.unexplained].all()
+
+
 def test_measured_frames_do_not_contain_the_shared_error() -> None:
     camera = studio().camera
     throw, track = with_contour_error(0.08)
