@@ -18,7 +18,7 @@ from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.pose.depth_reversals import half_turn_about_sight, reversed_in_depth
 from diethrow.tracking.pose.refine import pose_state, refine_pose
-from diethrow.tracking.sequence.depth_reversal import correct_depth_reversals
+from diethrow.tracking.sequence.depth_reversal import MAX_CHI2_RATIO, _chi2_ratio, correct_depth_reversals
 
 FRAMES = 48
 NONE_UNUSED = np.zeros(FRAMES, bool)
@@ -187,6 +187,30 @@ def test_far_away_the_pictures_of_a_whole_flight_decide() -> None:
     wrong.cost[first:] += 0.3
     found = correct_depth_reversals(view, source, wrong, NONE_UNUSED)
     assert share_right(view, found, throw, source.times_s) > 0.95
+
+
+def test_a_frame_beyond_an_impact_makes_no_reversal_of_right_poses() -> None:
+    """From sixteen metres the reversal behind an impact falls and turns as evenly as the die does, and goes on doing so on the
+    frame before, where the die still moved otherwise."""
+    room, die, first = replace(studio(focal_px=60000.0, distance_m=16.0), noise_grey=1.0), DICE["cube"], 24
+    spin, turned = np.array([80.0, -50.0, 30.0]), quat_from_rotvec(np.array([0.4, 0.5, 0.2]))
+    before = Flight(State(0.0, np.array([0.0, 0.0, 0.03]), turned, np.array([0.1, 0.0, -1.0]), spin), np.inf)
+    struck = replace(before.at((first - 0.1) / FPS), velocity_m_s=np.array([0.1, 0.0, 1.0]), omega_rad_s=-spin[::-1])
+    after = Flight(struck, np.inf)
+    throw = Deflected(before, after)
+    view, source = room.view(die), FrameSource([film(room, die, throw, FRAMES)])
+    right = seen_at(view, source, throw, reverse=False)
+    other = right.copy()
+    for k, time_s in enumerate(source.times_s):
+        state = after.at(float(time_s))
+        rotation = reversed_in_depth(view, state.position_m, state.rotation)
+        assert rotation is not None
+        true = throw.at(float(time_s))
+        other.position_m[k] = state.position_m + right.position_m[k] - true.position_m
+        other.rotation[k] = right.rotation[k] @ true.rotation.T @ rotation
+    other.known[: first - 1] = False
+    ratio, _ = _chi2_ratio(view, source, right, other, slice(first - 1, FRAMES))
+    assert ratio > MAX_CHI2_RATIO
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.sequence.labelling import (
+    _groups,
     even_rotation,
     with_consistent_labels,
     with_labels_of_flights,
@@ -129,12 +130,15 @@ def test_marks_carry_the_labelling_through_a_contact_or_a_gap_that_leaves_it_ope
     assert with_labels_of_marks(MARKED_VIEW, source, seen, throw) is seen
 
 
-@pytest.mark.parametrize("lost", [0, 2, 6])
+@pytest.mark.parametrize(
+    ("lost", "spin", "is_sure"), [(0, 1.0, True), (2, 1.0, True), (6, 1.0, False), (0, 50.0, False)]
+)
 def test_where_the_die_hardly_turns_between_two_frames_marks_do_not_change_its_labelling(
-    lost: int, monkeypatch: pytest.MonkeyPatch
+    lost: int, spin: float, is_sure: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     source, seen = tossed_and_seen()
     seen.known[45 : 45 + lost] = False
+    seen.motion[:, 3:] *= spin
     middle_s, nothing = 44.5 / FPS, np.full(3, np.nan)
     unresolved = Impact(middle_s, "unresolved", (), nothing[:2], nothing, np.nan, np.nan, np.nan, np.nan, 0, 0)
     throw = Throw((replace(tossed(), end_s=middle_s), replace(tossed(), end_s=np.inf)), (unresolved,))
@@ -146,8 +150,16 @@ def test_where_the_die_hardly_turns_between_two_frames_marks_do_not_change_its_l
 
     monkeypatch.setattr("diethrow.tracking.sequence.labelling.labels_by_marks", other_marks)
     found = with_labels_of_marks(MARKED_VIEW, source, seen, throw)
-    assert (found is seen) == (lost < 3)
-    assert asked == [1 if lost < 3 else 2]
+    assert (found is seen) == is_sure
+    assert asked == [1 if is_sure else 2]
+
+
+def test_frames_that_cannot_be_compared_are_labelled_with_those_of_their_own_segment() -> None:
+    view, seen = spinning("cube", 3)
+    other = relabelled(view, seen, slice(12, FRAMES), 5)
+    rows, segments = np.r_[0:10, 16:FRAMES], np.repeat([0, 1], [12, FRAMES - 12])
+    groups = _groups(view, other, TIMES_S, rows, segments)
+    np.testing.assert_array_equal(groups, segments)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
