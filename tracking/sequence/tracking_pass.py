@@ -249,7 +249,7 @@ def _track_backwards(
                 row = block.first + some.start
                 tracker.track(block.frames[some], source.times_s, row, backward)
                 rows = np.arange(row, block.first + stop)
-                is_same = backward.known[rows].all() and not _differ(view, poses, backward, rows).any()
+                is_same = bool(backward.known[rows].all() and not _differ(view, poses, backward, rows).any())
                 same = same + len(rows) if is_same else 0
                 if same >= LEAST_RESUMED_FRAMES or tracker.misses > BACKWARDS_MISSES:
                     return row - 1, is_same

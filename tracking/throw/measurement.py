@@ -246,9 +246,9 @@ def measure(
         throw, straight, resting, chain, use[:flying], shared_covariance, without, die, labels, estimate
     )
     # Flights determine nothing of frames that none of them explains: the contour of a die that rocks lies amid its shadow too.
+    undetermined_covariance = _shared_covariance(track, bias_jacobian, np.broadcast_to(sigma, left.shape), use, flying)
     unexplained = measured.unexplained[:, None, None]
-    every = _shared_covariance(track, bias_jacobian, np.broadcast_to(sigma, left.shape), use, flying)
-    return replace(measured, shared_covariance=np.where(unexplained, every, shared_covariance))
+    return replace(measured, shared_covariance=np.where(unexplained, undetermined_covariance, shared_covariance))
 
 
 def _usable_rows(track: Track, die: Die, every: int) -> NDArray[np.int64]:
