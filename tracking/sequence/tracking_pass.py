@@ -526,22 +526,20 @@ def _radius_from_pictures(
 def radius_in_flight(
     view: View, source: FrameSource, track: Track, corners: CornerRadius
 ) -> tuple[CornerRadius, float]:
-    """The radius of the corners from the flights of a track, and the contour error [px] that remains; `corners` itself if the
-    flights do not determine it better, with the error that its own standard error makes where no impact ties them to the table,
-    and otherwise 0.
+    """The radius of the corners from the flights of a track, and the contour error [px] that remains; `corners` itself and 0 if
+    the flights do not determine it better.
 
     The flights are free to correct their distance. That leaves more ways to join them. Where these fail, the pictures contradict
     the flights, or the flights the radius: the poses then do better without that freedom."""
     p, R = track.position_m[track.tracked], matrix_from_quat(track.quaternion[track.tracked])
     if not len(p):
         return corners, 0.0
-    stated_px = contour_sigma_px(view, corners.sigma_m, p, R)
     try:
-        found = measure(replace(track, contour_sigma_px=stated_px), view.die, view.camera)
+        found = measure(
+            replace(track, contour_sigma_px=contour_sigma_px(view, corners.sigma_m, p, R)), view.die, view.camera
+        )
     except NoFlightError:
         return corners, 0.0
-    if not len(found.chain.shared):
-        return corners, stated_px
     looks = sample_in_flight(view, source.frame, track, found.throw)
     again = radius_on_flights(view, looks, corners.radius_m, found.chain.contour_sigma_px)
     if again is None or again.sigma_m > corners.sigma_m or again.radius_m == 0.0:

@@ -304,9 +304,9 @@ class ResolvedChain:
     """Those that were given, or wider ones if the clip contradicts them."""
 
     def without_undetermined_errors(self, count: int) -> ResolvedChain:
-        """Itself if it has an impact at one corner, which ties it to the table. Otherwise refitted without the first `count`
-        shared errors: they vary as the die turns, and free fall by itself cannot separate them from the motion."""
-        if not len(self.chain.shared) or any(link.impact is not None for link in self.chain.links):
+        """Itself if two of its flights meet in a contact. Otherwise refitted without the first `count` shared errors: they vary
+        as the die turns, and a single flight cannot separate them from its motion."""
+        if not len(self.chain.shared) or not all(link.is_open for link in self.chain.links):
             return self
         priors = replace(self.priors, shared_sigma=self.priors.shared_sigma[count:])
         observations = self.observations.with_bias_jacobian(self.observations.bias_jacobian[:, :, count:])

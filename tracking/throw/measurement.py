@@ -218,8 +218,7 @@ def measure(
     labels = _labels(track, use[:flying], found.observations.quaternion)
     track, chain = _labelled_anew(track, labels), found.chain
     flights = chain.flights
-    # The contour of a supported die lies amid its shadow: flights do not determine its error. Nor do they without an impact that
-    # ties them to the table.
+    # The contour of a supported die lies amid its shadow: flights do not determine its error. Nor do flights that do not meet.
     left_out = len(prior) - len(chain.shared)
     is_determined = (np.arange(len(use)) < flying) & (left_out == 0) & (len(prior) > 0)
     left = np.where(is_determined[:, None], undetermined, sigma)

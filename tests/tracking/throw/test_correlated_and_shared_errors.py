@@ -212,7 +212,7 @@ def test_a_contour_taken_too_far_out_is_found_from_gravity_and_the_table() -> No
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_flight_that_no_impact_ties_to_the_table_leaves_the_contour_open(seed: int) -> None:
+def test_a_single_flight_leaves_the_contour_undetermined(seed: int) -> None:
     rng, camera = np.random.default_rng(seed), studio().camera
     throw = one_flight(rng)
     track = seen(throw, rng)
