@@ -148,7 +148,8 @@ class FlightChain:
 
     @property
     def contour_sigma_px(self) -> float:
-        """Standard error [px] of the first shared error, that of the contour; infinite if it was not estimated."""
+        """Standard error [px] of the first shared error, infinite if there is none: that of the contour, unless only errors of a
+        calibration are estimated."""
         return float(self.shared_sigma[0]) if len(self.shared) else np.inf
 
     @property

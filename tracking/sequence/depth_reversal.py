@@ -19,11 +19,11 @@ from ...model.die import nearest_equivalent_rotation
 from ...model.rotations import angle_between, matrix_from_quat, quat_from_rotvec
 from ..flights import fit_flights
 from ..footage import FrameSource
+from ..frame_to_frame import FrameTracker
 from ..picture import View
 from ..pose import ClipPoses, Pose, as_track, half_turn_about_sight, reversed_pose, wholly_in_view
 from ..throw import UNMODELLED_SHARE, weighted_poses
 from ..track import Track
-from .frame_to_frame import FrameTracker
 from .labelling import with_rows_of
 
 Array = NDArray[np.float64]

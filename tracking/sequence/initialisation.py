@@ -28,6 +28,17 @@ from ...model.rotations import quat_from_matrix, rotation_between
 from ...model.throw import turning_of
 from ..flights import WeightedPoses, fit_flight
 from ..footage import FrameSource
+from ..frame_to_frame import (
+    AMBIGUOUS_COST,
+    FASTEST_M_S,
+    HEIGHT_SIGMAS,
+    MIN_POSES_OF_FLIGHT,
+    MOST_CANDIDATES,
+    FrameTracker,
+    is_high,
+    lowest_m,
+    motion_of_poses,
+)
 from ..picture import View
 from ..pose import (
     SAME_POSE_EDGES,
@@ -45,10 +56,6 @@ from ..pose import (
     weak_priors,
 )
 from ..throw import TABLE_REACH
-from .acceptance import AMBIGUOUS_COST, FASTEST_M_S, HEIGHT_SIGMAS, MIN_POSES_OF_FLIGHT
-from .frame_to_frame import MOST_CANDIDATES, FrameTracker
-from .impact_trials import is_high, motion_of_poses
-from .motion_filter import lowest_m
 from .places import PlacesBeside
 
 Array = NDArray[np.float64]

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..frame_to_frame import FASTEST_M_S
 from ..pose import ClipPoses, Pose, covariances
-from .acceptance import FASTEST_M_S
 
 Array = NDArray[np.float64]
 

@@ -17,6 +17,14 @@ from ...model.rotations import angle_between, matrix_from_quat, quat_from_matrix
 from ...model.throw import Throw
 from ..clip_parameters import ClockOffsets, rig_at
 from ..footage import FrameBlock, Frames, FrameSource, Rows
+from ..frame_to_frame import (
+    DELAY_ITERATIONS,
+    ENOUGH_EXCESS_COST,
+    KNOWN_RAD,
+    MIN_SUPPORT,
+    MIN_SUPPORT_CUT,
+    ON_PATH_SUPPORT,
+)
 from ..picture import (
     CLEAR_PX,
     CONTOUR_PX,
@@ -35,9 +43,7 @@ from ..picture import (
 )
 from ..pose import LEAST_CONTOUR_PX, ClipPoses, covariances, refine_frames, seen_distance_m, weak_priors
 from ..throw import TABLE_REACH, lowest_heights_m
-from .acceptance import KNOWN_RAD, MIN_SUPPORT, MIN_SUPPORT_CUT, ON_PATH_SUPPORT
 from .labelling import with_labels_of_flights
-from .motion_filter import DELAY_ITERATIONS, ENOUGH_EXCESS_COST
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

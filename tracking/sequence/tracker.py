@@ -1,9 +1,9 @@
 """From a clip to a track: the die is found and tracked through its impacts, and every frame's pose is refined.
 
-1. Tracking (`tracking_pass`): from the first frame that shows the whole die, forwards to the end and backwards to where it came
-   in; again if the background was estimated and turns out to show the die (`empty_scene`), and in light if edges show a display
-   curve that the scene does not state (`response`). Then impacts are found, each flight is fitted, and the lens blur is
-   estimated; the light as well for a rounded die.
+1. Tracking (`tracking_pass`, `rounded_corners`): from the first frame that shows the whole die, forwards to the end and backwards
+   to where it came in; again if the background was estimated and turns out to show the die (`empty_scene`), and in light if edges
+   show a display curve that the scene does not state (`response`). Then impacts are found, each flight is fitted, and the lens
+   blur is estimated; the light as well for a rounded die.
 2. Refinement on edges (`refine_on_edges`): every frame, along its flight.
 3. Refinement on surface marks (`refine_on_marks`): once more, on what is printed on the faces.
 
@@ -38,6 +38,7 @@ from ..clip_parameters import (
     with_light,
 )
 from ..footage import Clip, FrameSource, clip_in_light, estimate_background, level_grey, picture_in_light
+from ..frame_to_frame import TrackingTask
 from ..picture import (
     Lens,
     PixelNoise,
@@ -57,8 +58,8 @@ from ..track import ABSENT, LOST, Track
 from .labelling import with_consistent_labels, with_labels_of_marks
 from .refine_on_edges import EdgeRefinement
 from .refine_on_marks import MarkRefinement, refine_on_marks
+from .rounded_corners import radius_in_flight, track_rounded
 from .tracking_pass import NoDieError as NoDieError
-from .tracking_pass import TrackingTask, radius_in_flight, track_rounded
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -35,7 +35,7 @@ from diethrow.tracking.footage import FrameSource
 from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.pose.refine import pose_state, refine_pose
 from diethrow.tracking.quality import FAST
-from diethrow.tracking.sequence import tracking_pass
+from diethrow.tracking.sequence import rounded_corners
 from diethrow.tracking.sequence.tracker import ClipFacts, TrackedClip, track_clip
 
 STUDIO = replace(studio(), noise_grey=2.0)
@@ -254,7 +254,7 @@ def test_the_test_for_rounding_leaves_the_track_of_a_sharp_die_unchanged() -> No
 
 
 def test_a_first_radius_with_which_no_initial_pose_is_found_is_discarded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tracking_pass, "_radius_from_pictures", lambda *_: CornerRadius(5e-3, 0.5e-3))
+    monkeypatch.setattr(rounded_corners, "_radius_from_pictures", lambda *_: CornerRadius(5e-3, 0.5e-3))
     tested, given = sharp_tracked(CornerRounding.TESTED), sharp_tracked(CornerRounding.GIVEN)
     assert tested.corners is None
     assert np.array_equal(tested.track.position_m, given.track.position_m, equal_nan=True)
@@ -262,8 +262,8 @@ def test_a_first_radius_with_which_no_initial_pose_is_found_is_discarded(monkeyp
 
 def test_flights_exclude_corners_that_a_codec_draws(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures alone may take smeared edges for bevels; a die so rounded would fall at another distance."""
-    monkeypatch.setattr(tracking_pass, "_radius_from_pictures", lambda *_: CornerRadius(0.5e-3, 0.1e-3))
-    monkeypatch.setattr(tracking_pass, "_radius_trials", lambda *_: pytest.fail("tracked with rounded corners"))
+    monkeypatch.setattr(rounded_corners, "_radius_from_pictures", lambda *_: CornerRadius(0.5e-3, 0.1e-3))
+    monkeypatch.setattr(rounded_corners, "_radius_trials", lambda *_: pytest.fail("tracked with rounded corners"))
     assert sharp_tracked(CornerRounding.TESTED).corners is None
 
 
@@ -282,10 +282,10 @@ def test_flights_exclude_a_radius_where_a_corner_touches_and_the_contour_is_that
     impacts = [SimpleNamespace(contact=contact) for contact in contacts]
     chain = SimpleNamespace(shared=np.array([found_px]), contour_sigma_px=sigma_px)
     measured = SimpleNamespace(throw=SimpleNamespace(impacts=impacts), chain=chain)
-    monkeypatch.setattr(tracking_pass, "measure", lambda *_: measured)
-    monkeypatch.setattr(tracking_pass, "contour_sigma_px", lambda *_: 1.0)
+    monkeypatch.setattr(rounded_corners, "measure", lambda *_: measured)
+    monkeypatch.setattr(rounded_corners, "contour_sigma_px", lambda *_: 1.0)
     source = FrameSource([ArrayClip(np.zeros((8, 4, 4), np.uint8), np.arange(8) / FPS, 8)])
-    assert tracking_pass._flies_as_sharp(STUDIO.view(CUBE), ClipPoses.empty(8), source, 1e-3) is is_sharp
+    assert rounded_corners._flies_as_sharp(STUDIO.view(CUBE), ClipPoses.empty(8), source, 1e-3) is is_sharp
 
 
 @pytest.mark.parametrize(
@@ -301,10 +301,10 @@ def test_a_radius_with_which_the_die_is_lost_or_drawn_worse_is_discarded(
     sharp, rounded = ClipPoses.empty(120), ClipPoses.empty(120)
     sharp.known[:100] = True
     rounded.known[:frames] = True
-    trial = tracking_pass._Trial(1e-3, STUDIO.view(CUBE), rounded, borne_out, CornerRadius(1e-3, 1e-4))
-    monkeypatch.setattr(tracking_pass, "gain_over_sharp", lambda *_: (gain, 0.01))
+    trial = rounded_corners._Trial(1e-3, STUDIO.view(CUBE), rounded, borne_out, CornerRadius(1e-3, 1e-4))
+    monkeypatch.setattr(rounded_corners, "gain_over_sharp", lambda *_: (gain, 0.01))
     source = FrameSource([ArrayClip(np.zeros((120, 4, 4), np.uint8), np.arange(120) / FPS, 8)])
-    assert tracking_pass._is_better_than_sharp(trial, sharp, source) is better
+    assert rounded_corners._is_better_than_sharp(trial, sharp, source) is better
 
 
 @pytest.mark.parametrize("is_rounded_die", [False, True])

@@ -20,12 +20,12 @@ from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.footage.background import load_background
 from diethrow.tracking.footage.clip import open_clip
 from diethrow.tracking.footage.frame_blocks import FrameSource
+from diethrow.tracking.frame_to_frame.frame_tracker import FrameTracker
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.pose.refine import pose_state, refine_pose
 from diethrow.tracking.quality import FAST
 from diethrow.tracking.sequence import initialisation
-from diethrow.tracking.sequence.frame_to_frame import FrameTracker
 from diethrow.tracking.sequence.initialisation import Hypothesis, best_hypothesis, find_initial_pose, log_scatter
 from diethrow.tracking.sequence.tracker import ClipFacts, track_clip
 

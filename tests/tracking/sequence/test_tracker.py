@@ -2,49 +2,35 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from footage_of_throws import DICE, FPS, falling_cube, film, photograph, pips, studio
+from footage_of_throws import DICE, FPS, falling_cube, fast_cube, film, photograph, pips, studio
 from numpy.typing import NDArray
 from replay_records import ArrayClip
 
-from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import (
-    angle_between,
-    matrix_from_quat,
     quat_conjugate,
     quat_from_matrix,
     quat_multiply,
     rotation_between,
 )
-from diethrow.model.throw.motion import Flight, Impact, State, Throw
-from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.model.world import GRAVITY_M_S2
 from diethrow.tracking.footage.background import estimate_background
 from diethrow.tracking.footage.frame_blocks import FrameSource
+from diethrow.tracking.frame_to_frame.frame_tracker import FrameTracker
+from diethrow.tracking.frame_to_frame.impact_trials import widest_sigma
+from diethrow.tracking.frame_to_frame.motion_filter import predict_motion
 from diethrow.tracking.picture import PixelNoise
-from diethrow.tracking.picture.view import View, make_view, share_in_view
+from diethrow.tracking.picture.view import make_view, share_in_view
 from diethrow.tracking.pose.clip_poses import ClipPoses, longest_stride
 from diethrow.tracking.pose.refine import pose_state, refine_pose
-from diethrow.tracking.sequence.frame_to_frame import FrameTracker
-from diethrow.tracking.sequence.impact_trials import widest_sigma
 from diethrow.tracking.sequence.initialisation import find_initial_pose
-from diethrow.tracking.sequence.motion_filter import predict_motion
 from diethrow.tracking.sequence.tracker import ClipFacts, NoDieError, track_clip
-from diethrow.tracking.sequence.tracking_pass import (
-    CHANGE_COST,
-    LOST_EXCESS_COST,
-    TrackingTask,
-    _prefers_backward,
-    _resumed,
-    _with_backward_poses,
-    track_once,
-)
 from diethrow.tracking.throw.flight_segmentation import decimation_factor
 from diethrow.tracking.throw.measurement import measure_throw
 from diethrow.tracking.throw.smoothing import smooth
@@ -116,31 +102,20 @@ ROLLING = replace(ROOM, readout_s=0.95 / FPS)
 
 
 @cache
-def fast_cube() -> Throw:
-    """A falling cube that bounces once, at 60 rad/s before the bounce and 1.2 m/s."""
-    slow = falling_cube(FRAMES / FPS)
-    start = slow.flights[0].start
-    release = replace(
-        start, velocity_m_s=np.array([0.1, 0.1, -0.9]), omega_rad_s=60.0 * start.omega_rad_s / np.linalg.norm(start.omega_rad_s)
-    )  # fmt: skip
-    return throw_die(CUBE, release, SmoothImpact(0.6), until=Until(time_s=FRAMES / FPS)).throw
-
-
-@cache
 def rolling_clip() -> ArrayClip:
-    return film(ROLLING, CUBE, fast_cube(), FRAMES)
+    return film(ROLLING, CUBE, fast_cube(FRAMES), FRAMES)
 
 
 def tracked_with(readout_s: float, clip: ArrayClip) -> tuple[Array, Track]:
     """(n, 6) errors of a track with a readout time, and the track."""
     facts = ClipFacts(readout_s=readout_s)
     track = track_clip(clip, ROOM.camera, CUBE, background=np.rint(ROOM.table), facts=facts).track
-    return errors_of(track, fast_cube()), track
+    return errors_of(track, fast_cube(FRAMES)), track
 
 
 def test_a_rolling_shutter_is_tracked_as_accurately_as_a_global_one() -> None:
     errors, track = tracked_with(ROLLING.readout_s, rolling_clip())
-    flat, _ = tracked_with(0.0, film(ROOM, CUBE, fast_cube(), FRAMES))
+    flat, _ = tracked_with(0.0, film(ROOM, CUBE, fast_cube(FRAMES), FRAMES))
     assert (track.status == TRACKED).all()
     assert np.array_equal(track.time_s, np.arange(FRAMES) / FPS)
     for numbers in (slice(0, 3), slice(3, 6)):
@@ -167,7 +142,7 @@ def test_a_film_upside_down_with_its_rows_in_reverse_order_gives_the_same_poses(
         background=np.rint(ROOM.table)[::-1, ::-1].copy(),
         facts=ClipFacts(readout_s=-ROLLING.readout_s),
     ).track
-    errors = errors_of(track, fast_cube())
+    errors = errors_of(track, fast_cube(FRAMES))
     assert (track.status == TRACKED).all()
     for numbers in (slice(0, 3), slice(3, 6)):
         error, usual = (float(np.median(np.linalg.norm(e[:, numbers], axis=1))) for e in (errors, upright))
@@ -180,145 +155,6 @@ def test_without_its_readout_time_a_rolling_shutter_is_tracked_worse() -> None:
     unknown, _ = tracked_with(0.0, rolling_clip())
     with_key, without = (np.nanmedian(np.linalg.norm(e[:, 3:], axis=1)) for e in (known, unknown))
     assert without > 2.0 * with_key
-
-
-SEEN_FROM = 36
-
-
-def seen_late() -> tuple[View, FrameSource, FrameTracker, ClipPoses, Throw]:
-    """A fast cube, and a tracker that knows its poses on some frames from SEEN_FROM on, behind both bounces."""
-    throw = fast_cube()
-    assert [bounce.time_s * FPS < SEEN_FROM - 1 for bounce in throw.bounces] == [True, True]
-    source, view = FrameSource([film(ROOM, CUBE, throw, FRAMES)]), ROOM.view(CUBE)
-    begun = find_initial_pose(view, source, np.arange(FRAMES) < SEEN_FROM)
-    assert begun is not None
-    tracker, poses = begun
-    assert np.flatnonzero(poses.known)[0] == SEEN_FROM
-    tracker.unused = np.zeros(FRAMES, bool)
-    return view, source, tracker, poses, throw
-
-
-def off_m(poses: ClipPoses, throw: Throw) -> Array:
-    """(n,) distance of tracked positions from the true ones."""
-    return np.asarray(np.linalg.norm(poses.position_m - throw.poses(np.arange(FRAMES) / FPS)[0], axis=1))
-
-
-def test_tracking_backwards_goes_through_an_impact() -> None:
-    _, source, tracker, poses, throw = seen_late()
-    back = tracker.backwards_tracker()
-    for block in source.blocks_backwards(SEEN_FROM):
-        with block:
-            back.track(block.frames, source.times_s, block.first, poses)
-    assert poses.known[:SEEN_FROM].all()
-    assert off_m(poses, throw)[:SEEN_FROM].max() < 1e-3
-
-
-def test_tracking_resumes_where_the_die_was_lost_in_view() -> None:
-    view, source, tracker, poses, throw = seen_late()
-    tracker.track_to_end(source, poses, lambda frame: None, all_frames=True)
-    task = TrackingTask(source, np.zeros(FRAMES, bool), None, lambda frame: None)
-    resumed = _resumed(view, task, poses)
-    assert resumed.known.all()
-    assert off_m(resumed, throw)[resumed.known].max() < 1e-3
-    turned = angle_between(resumed.rotation[:-1], resumed.rotation[1:])[resumed.known[:-1] & resumed.known[1:]]
-    # 60 rad/s at 1500 frames a second are 2.3 degrees a frame: no face takes the place of another.
-    assert turned.max() < np.radians(10.0)
-
-
-def whole_track() -> tuple[View, TrackingTask, ClipPoses, Throw]:
-    """A fast cube tracked through all its frames."""
-    view, source, tracker, poses, throw = seen_late()
-    tracker.track_to_end(source, poses, lambda frame: None, all_frames=True)
-    task = TrackingTask(source, np.zeros(FRAMES, bool), None, lambda frame: None)
-    return view, task, _resumed(view, task, poses), throw
-
-
-def test_backward_poses_replace_wrong_ones_behind_an_impact() -> None:
-    view, task, poses, throw = whole_track()
-    assert _with_backward_poses(view, task, poses) is poses
-    (first, second) = (int(np.ceil(bounce.time_s * FPS)) for bounce in throw.bounces)
-    wrong = poses.copy()
-    wrong.begins[[first, second]] = True
-    wrong.position_m[first:second] += np.array([3e-3, 0.0, 0.0])
-    wrong.cost[first:second] += 0.5
-    again = _with_backward_poses(view, task, wrong)
-    assert off_m(wrong, throw)[first:second].min() > 2e-3
-    assert off_m(again, throw).max() < 1e-3
-    assert np.array_equal(again.position_m[second + 1 :], poses.position_m[second + 1 :])
-    assert np.abs(np.flatnonzero(again.begins)[:, None] - [first, second]).min(axis=1).max() <= 1
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_the_sequence_of_least_cost_through_two_tracks_is_the_best_of_all(seed: int) -> None:
-    rng, n = np.random.default_rng(seed), 8
-    tracks = ClipPoses.empty(n), ClipPoses.empty(n)
-    for track in tracks:
-        track.known[:], track.cost[:] = rng.random(n) < 0.8, rng.uniform(2.0, 3.0, n)
-    apart, lost = rng.random(n) < 0.7, float(np.median(tracks[0].cost[tracks[0].known])) + LOST_EXCESS_COST
-    costs = np.stack([np.where(track.known, track.cost, lost) for track in tracks])
-    changes = CHANGE_COST * (apart[1:] & apart[:-1])
-
-    def cost(path: Array) -> float:
-        return float(costs[path, np.arange(n)].sum() + changes[path[1:] != path[:-1]].sum())
-
-    best = min(cost(np.array(path)) for path in itertools.product((0, 1), repeat=n))
-    assert cost(_prefers_backward(*tracks, apart).astype(int)) == pytest.approx(best, abs=1e-12)
-
-
-def test_poses_that_do_not_explain_their_pictures_are_replaced_with_those_beside_them_that_explain_them_worse() -> None:
-    view, task, poses, throw = whole_track()
-    usual = float(np.median(poses.cost))
-    for rows, excess in ((slice(40, 56), usual + 2.0), (slice(32, 40), 0.5)):
-        poses.position_m[rows] += np.array([3e-3, 0.0, 0.0])
-        poses.cost[rows] += excess
-    again = _resumed(view, task, poses.copy())
-    assert again.known.all()
-    assert off_m(again, throw).max() < 1e-3
-
-
-def test_poses_that_explain_their_pictures_stay_as_they_are() -> None:
-    view, task, poses, _ = whole_track()
-    poses.cost[40:56] *= 1.15
-    assert np.array_equal(_resumed(view, task, poses.copy()).position_m, poses.position_m)
-
-
-def test_right_poses_that_seem_to_explain_their_pictures_badly_are_found_again() -> None:
-    view, task, poses, throw = whole_track()
-    poses.cost[40:56] *= 1.3
-    again = _resumed(view, task, poses.copy())
-    assert again.known.all()
-    assert np.abs(again.position_m - poses.position_m).max() < 2e-4
-    assert off_m(again, throw).max() < 1e-3
-
-
-def test_a_die_that_is_thrown_out_of_its_motion_is_found_on_the_next_frame() -> None:
-    """Two impacts within a frame interval leave a dodecahedron that turns by 66 degrees a frame, and looks as if it turned by 37
-    at the most."""
-    die, fps, frames = DICE["dodecahedron"], 240.0, 24
-    time_s, spins = 11.4 / fps, (np.array([4.0, 9.0, -6.0]), np.radians(66.0) * fps * np.array([0.6, -0.64, 0.48]))
-    start = State(0.0, np.array([-0.006, 0.0, 0.03]), np.array([0.8, 0.6, 0.0, 0.0]), np.zeros(3), spins[0])
-    before, nothing = Flight(start, time_s), np.full(3, np.nan)
-    after = Flight(replace(before.at(time_s), velocity_m_s=np.array([0.2, 0.1, 0.3]), omega_rad_s=spins[1]), np.inf)
-    jump = Impact(time_s, "unresolved", (), nothing[:2], nothing, *[np.nan] * 4, 0, 0)
-    throw, room = Throw((before, after), (jump,)), replace(ROOM, shadow=0.0)
-    clip = film(room, die, throw, frames, fps=fps)
-    task = TrackingTask(FrameSource([clip]), np.zeros(frames, bool), None, lambda frame: None)
-    view, poses = track_once(room.view(die), task)
-    assert poses.known.all()
-    labels = np.swapaxes(matrix_from_quat(throw.poses(clip.times_s)[1]), 1, 2) @ poses.rotation
-    for flight in (labels[:12], labels[12:]):
-        assert angle_between(flight, flight[-1:]).max() < 0.02
-        assert angle_between(flight[:, None], view.symmetries).min(1).max() < 0.02
-
-
-def test_tracking_does_not_resume_where_the_die_had_left_the_picture() -> None:
-    view, source, _, poses, _ = seen_late()
-    poses.motion[SEEN_FROM, :3] = -100.0 * view.camera.rotation[0]
-    task = TrackingTask(source, np.zeros(FRAMES, bool), None, lambda frame: None)
-    last = int(np.flatnonzero(poses.known)[-1])
-    poses.motion[last, :3] = 100.0 * view.camera.rotation[0]
-    before = poses.known.copy()
-    assert np.array_equal(_resumed(view, task, poses).known, before)
 
 
 TIMES_FASTER = 6

@@ -13,16 +13,16 @@ from scipy.spatial.transform import Rotation
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec
 from diethrow.model.throw import Flight, State, Throw
 from diethrow.tracking.footage.frame_blocks import FrameSource
+from diethrow.tracking.frame_to_frame.acceptance import NEW_FLIGHT_RAD, PRIOR_SIGMAS
+from diethrow.tracking.frame_to_frame.frame_tracker import FrameTracker
+from diethrow.tracking.frame_to_frame.motion_filter import lowest_m, motion_prior
 from diethrow.tracking.picture.view import View, with_corner_radius
 from diethrow.tracking.pose.candidate_poses import velocity_across_m_s
 from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.pose.refine import Pose, pose_state, refine_pose
 from diethrow.tracking.pose.refine_kernels import seen_distance_m
 from diethrow.tracking.sequence import initialisation
-from diethrow.tracking.sequence.acceptance import NEW_FLIGHT_RAD, PRIOR_SIGMAS
-from diethrow.tracking.sequence.frame_to_frame import FrameTracker
 from diethrow.tracking.sequence.initialisation import find_initial_pose
-from diethrow.tracking.sequence.motion_filter import lowest_m, motion_prior
 
 ROOM = studio()
 CUBE = DICE["cube"]

@@ -14,15 +14,15 @@ from throws import random_release, true_throw
 
 from diethrow.model.throw import Flight, State
 from diethrow.model.world import GRAVITY_M_S2
-from diethrow.tracking.picture import PARAMETERS, STATISTICS
-from diethrow.tracking.pose import Pose
-from diethrow.tracking.quality import STANDARD
-from diethrow.tracking.sequence.impact_trials import (
+from diethrow.tracking.frame_to_frame.impact_trials import (
     TRIAL_SPACING_RAD,
     beyond_impacts,
     different_rates,
     motion_of_poses,
 )
+from diethrow.tracking.picture import PARAMETERS, STATISTICS
+from diethrow.tracking.pose import Pose
+from diethrow.tracking.quality import STANDARD
 
 THROWS = 25
 NEAR_RAD = 1.25 * TRIAL_SPACING_RAD

@@ -21,7 +21,7 @@ from ...model.throw import Flight, State, turning_of
 from ..picture import SUPPORT_COST, View, region_costs
 from ..pose import Pose, same_picture, seen_distance_m
 from .acceptance import BOUNCE_REACH, HEIGHT_SIGMAS
-from .labelling import even_rotation
+from .even_rotation import even_rotation
 from .motion_filter import lowest_m
 
 Array = NDArray[np.float64]

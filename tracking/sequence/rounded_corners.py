@@ -1,0 +1,191 @@
+"""The radius of the corners: a clip is tracked again with a rounded die if its pictures show one, and with another radius until
+its flights show the one that it was tracked with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from ...model.rotations import matrix_from_quat
+from ..clip_parameters import (
+    RADIUS_FRAMES,
+    CornerRadius,
+    CornerRounding,
+    contour_sigma_px,
+    gain_over_sharp,
+    is_rounded,
+    largest_radius_m,
+    radius_by_free_poses,
+    radius_on_flights,
+    sample_in_flight,
+)
+from ..footage import FrameSource
+from ..frame_to_frame import TrackingTask
+from ..picture import View, with_corner_radius
+from ..pose import ClipPoses, as_track, wholly_in_view
+from ..throw import NoFlightError, measure
+from ..track import Track
+from .tracking_pass import NoDieError, track_once
+
+MAX_RADIUS_TRIALS = 3
+"""Most tracking passes with an estimated radius of the corners."""
+SAME_RADIUS = 0.1
+"""Relative change of the radius that needs no further pass."""
+SMALLER_RADIUS = 0.9
+"""Factor on a radius that the flights of its pass do not support: little decides whether an impact is lost, and it is rather lost
+with a radius that is too large."""
+SUFFICIENT_FRAMES = 0.95
+"""Share of the frames tracked with another radius, or none, below which a radius is rejected."""
+EXCLUDED_SIGMAS = 4.0
+"""Standard errors of the contour, by the flights of a sharp die, by which it must lie nearer to that than to a rounded one's."""
+SHARP_CONTOUR_PX = 0.25
+"""Error of that contour [px] up to which its die may be sharp. It was chosen on one seed of random clips: flights of six sharp
+dice showed up to 0.14, those of 15 of 18 rounded ones 0.16 to 0.8. Of the others two are rounded by too little to differ so, and
+one leaves 0.2 open."""
+ROUND_SHARE = 0.25
+"""Radius of the corners, as a share of the inscribed radius, of a die that may be rounded and is not found as a sharp one."""
+
+
+def track_rounded(
+    view: View, task: TrackingTask, rounding: CornerRounding
+) -> tuple[View, ClipPoses, CornerRadius | None]:
+    """Poses from tracking, the view that they were tracked with, and the radius of the corners if it was estimated.
+
+    Unless the radius is given, the pass is repeated with a rounded die if the pictures show one, until its flights show the
+    radius that it was done with. Raises NoDieError if no die was found."""
+    if rounding is CornerRounding.GIVEN:
+        return *track_once(view, task), None
+    first, poses = _track_sharp_or_round(view, task, rounding)
+    corners = _radius_from_pictures(first, task.source, poses, rounding)
+    if corners is None or corners.radius_m == 0.0:
+        return first, poses, corners if rounding is CornerRounding.ESTIMATED else None
+    was_sharp = first.die.corner_radius_m == 0.0
+    if rounding is CornerRounding.TESTED and was_sharp and _flies_as_sharp(first, poses, task.source, corners.radius_m):
+        return first, poses, None
+    trials = _radius_trials(view, task, corners)
+    if rounding is CornerRounding.TESTED and was_sharp:
+        trials = [trial for trial in trials if _is_better_than_sharp(trial, poses, task.source)]
+        if not trials:
+            return first, poses, None
+    if trials:
+        most = max(trial.poses.frames for trial in trials)
+        sufficient = [trial for trial in trials if trial.poses.frames >= SUFFICIENT_FRAMES * most]
+        corners = sufficient[-1].corners
+        # Poses with a smaller radius than the final one lie farther away than the latter implies.
+        chosen = min(sufficient, key=lambda trial: abs(trial.radius_m - sufficient[-1].corners.radius_m))
+        first, poses = chosen.view, chosen.poses
+    return with_corner_radius(first, corners.radius_m), poses, corners
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """A tracking pass with a radius of the corners."""
+
+    radius_m: float
+    view: View
+    poses: ClipPoses
+    is_supported: bool
+    """Whether its flights show a radius."""
+    corners: CornerRadius
+    """The radius known after it."""
+
+
+def _track_sharp_or_round(view: View, task: TrackingTask, rounding: CornerRounding) -> tuple[View, ClipPoses]:
+    """A first pass with the view's radius; with a well-rounded die if none is found and the pictures then show one."""
+    try:
+        return track_once(view, task)
+    except NoDieError:
+        # A die that is round all over is not found as one with sharp corners.
+        ball = with_corner_radius(view, min(ROUND_SHARE * view.die.solid.inradius, largest_radius_m(view.die)))
+        first, poses = track_once(ball, task)
+        if _radius_from_pictures(first, task.source, poses, rounding) is None:
+            raise
+        return first, poses
+
+
+def _radius_trials(view: View, task: TrackingTask, corners: CornerRadius) -> list[_Trial]:
+    """Passes with an estimated radius, each with that of the one before, until it no longer changes."""
+    radius_m, trials = corners.radius_m, []
+    for _ in range(MAX_RADIUS_TRIALS):
+        # From the original view: tracking a sharp die takes what its corners would cover for an occluder.
+        try:
+            tracked_view, poses = track_once(with_corner_radius(view, radius_m), task)
+        except NoDieError:
+            break  # so round that no initial pose is found; the poses tracked before remain
+        use = wholly_in_view(tracked_view, poses) & poses.evenly_spaced
+        track = as_track(tracked_view, task.source, poses, use)
+        found, _ = radius_in_flight(tracked_view, task.source, track, corners)
+        is_supported, corners = found is not corners, found
+        trials.append(_Trial(radius_m, tracked_view, poses, is_supported, corners))
+        before, radius_m = radius_m, corners.radius_m if is_supported else SMALLER_RADIUS * radius_m
+        if is_supported and abs(radius_m - before) < SAME_RADIUS * before:
+            break
+    return trials
+
+
+def _is_better_than_sharp(trial: _Trial, sharp: ClipPoses, source: FrameSource) -> bool:
+    """Whether a rounded die was tracked over as many frames as the sharp one, or over hardly fewer with a radius that its flights
+    support, and explains their pictures better. A sharp die out of focus looks a little rounded; with a radius that is not its
+    own it is lost, or tracked with poses that draw it worse."""
+    if trial.poses.frames < (SUFFICIENT_FRAMES if trial.is_supported else 1.0) * sharp.frames:
+        return False
+    both = sharp.known & trial.poses.known
+    frames = (poses.sample(source.frame, both, RADIUS_FRAMES) for poses in (sharp, trial.poses))
+    gain, sigma = gain_over_sharp(trial.view, trial.radius_m, *frames)
+    return gain > 0.0 or sigma == np.inf
+
+
+def _flies_as_sharp(view: View, sharp: ClipPoses, source: FrameSource, radius_m: float) -> bool:
+    """Whether the flights of a die that was tracked with sharp corners exclude a radius.
+
+    The contour of a rounded die lies within that of a sharp one, for which it seems too far away. The fall and the table
+    then show that the contour of the sharp die is drawn so far out as the radius says; of a die that is sharp they show
+    hardly an error, whatever a codec or a sharpening filter does to its edges. Only a throw with a contact on one corner says
+    so: the corners of a rounded die touch elsewhere."""
+    use = wholly_in_view(view, sharp) & sharp.evenly_spaced
+    inset_px = contour_sigma_px(view, radius_m, sharp.position_m[use], sharp.rotation[use])
+    track = replace(as_track(view, source, sharp, use), contour_sigma_px=inset_px)
+    try:
+        throw = measure(track, view.die, view.camera)
+    except NoFlightError:
+        return False
+    if not len(throw.chain.shared) or all(impact.contact != "vertex" for impact in throw.throw.impacts):
+        return False
+    found, sigma = float(throw.chain.shared[0]), throw.chain.contour_sigma_px
+    return abs(found) < SHARP_CONTOUR_PX and abs(found) + EXCLUDED_SIGMAS * sigma < abs(found + inset_px)
+
+
+def _radius_from_pictures(
+    view: View, source: FrameSource, poses: ClipPoses, rounding: CornerRounding
+) -> CornerRadius | None:
+    """The radius of the corners from single pictures; None if the die looks sharp, or too few frames show it."""
+    looks = partial(poses.sample, source.frame, wholly_in_view(view, poses))
+    if rounding is CornerRounding.TESTED and not is_rounded(view, looks):
+        return None
+    return radius_by_free_poses(view, looks(RADIUS_FRAMES))
+
+
+def radius_in_flight(
+    view: View, source: FrameSource, track: Track, corners: CornerRadius
+) -> tuple[CornerRadius, float]:
+    """The radius of the corners from the flights of a track, and the contour error [px] that remains; `corners` itself and 0 if
+    the flights do not determine it better.
+
+    The flights are free to correct their distance. That leaves more ways to join them. Where these fail, the pictures contradict
+    the flights, or the flights the radius: the poses then do better without that freedom."""
+    p, R = track.position_m[track.tracked], matrix_from_quat(track.quaternion[track.tracked])
+    if not len(p):
+        return corners, 0.0
+    try:
+        found = measure(
+            replace(track, contour_sigma_px=contour_sigma_px(view, corners.sigma_m, p, R)), view.die, view.camera
+        )
+    except NoFlightError:
+        return corners, 0.0
+    looks = sample_in_flight(view, source.frame, track, found.throw)
+    again = radius_on_flights(view, looks, corners.radius_m, found.chain.contour_sigma_px)
+    if again is None or again.sigma_m > corners.sigma_m or again.radius_m == 0.0:
+        return corners, 0.0
+    return again, contour_sigma_px(view, again.sigma_m, p, R)
