@@ -34,7 +34,7 @@ NEW_FLIGHT_REACH = 0.14
 """Distance between the prediction of a known flight and a pose beyond which the pose belongs to a new flight. Less takes errors
 of badly seen poses for bounces; more attributes weak bounces to the flight before, until the throw is measured."""
 NEW_FLIGHT_RAD = radians(2.0)
-"""Angle [rad] between them beyond which it does, for the same reason, if the prediction is surer than that (`new_flight_rad`)."""
+"""Angle [rad] between them beyond which it does, for the same reason."""
 ON_PATH_CHI2 = 30.0
 """Normalised innovation squared (six numbers) up to which a pose lies on the predicted path: one in 25 000 of honest poses lies
 farther off."""
@@ -46,8 +46,8 @@ PRIOR_SIGMAS = 4.0
 """Width of the prior of a refinement, in standard errors of the prediction: wide enough not to hold a bounce back."""
 
 PREDICTED_SIGMAS = 3.0
-"""Standard errors of the prediction up to which a pose belongs to its flight; the larger bound of this and `NEW_FLIGHT_REACH`, or
-`NEW_FLIGHT_RAD`, counts."""
+"""Standard errors of the prediction up to which a pose belongs to its flight; the larger bound of this and `NEW_FLIGHT_REACH`
+counts."""
 SMALL_EXCESS_COST = 0.05
 """Cost above the usual up to which a hypothesis ends the search for a better one."""
 SURFACE_EXCESS_SHARE = 0.25

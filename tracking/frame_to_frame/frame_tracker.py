@@ -81,7 +81,6 @@ from .motion_filter import (
     FIRST_POSES_REACH,
     MotionEstimate,
     motion_prior,
-    new_flight_rad,
     predict_motion,
     predicted_delay,
     track_frames,
@@ -566,15 +565,16 @@ class FrameTracker:
         """Update the motion with the pose of this frame. If that lies far from the prediction, a new motion begins with the
         velocities of the initial state that led to it."""
         self.misses = 0
-        off_m = pose.position_m - predicted[:3]
-        distance = float(seen_distance_m(self.view.rig, pose.position_m, off_m, self.view.reach_m))
+        distance = float(
+            seen_distance_m(self.view.rig, pose.position_m, pose.position_m - predicted[:3], self.view.reach_m)
+        )
+        angle = angle_between(pose.rotation, R)
         count = float(self.clock[2])
         high = is_high(self.view, predicted[:3], R, P)
-        far_reach = FIRST_POSES_REACH if high else NEW_FLIGHT_REACH
-        far_rad = FIRST_POSES_RAD if high else new_flight_rad(widest_sigma(P, 3))
+        far_reach, far_rad = (FIRST_POSES_REACH, FIRST_POSES_RAD) if high else (NEW_FLIGHT_REACH, NEW_FLIGHT_RAD)
         leads_on = np.array_equal(start.velocity_m_s, predicted[3:6])
         known = MIN_POSES_OF_FLIGHT if leads_on else MIN_POSES_BEFORE_IMPACT
-        if count >= known and (distance > far_reach * self.view.reach_m or angle_between(pose.rotation, R) > far_rad):
+        if count >= known and (distance > far_reach * self.view.reach_m or angle > far_rad):
             last = _state(float(self.clock[0]), self.motion, self.rotation)
             self._rates_after_impact = different_rates(
                 beyond_impacts(self.view.die, last, time_s, self.view.gravity_m_s2), frame_s

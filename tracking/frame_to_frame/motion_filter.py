@@ -61,7 +61,6 @@ from .acceptance import (
     NEW_FLIGHT_REACH,
     ON_PATH_CHI2,
     ON_PATH_SUPPORT,
-    PREDICTED_SIGMAS,
     PRIOR_SIGMAS,
     USUAL_COST_FRAMES,
 )
@@ -297,7 +296,7 @@ def track_frames(
         p, Q, cost = refine_uncertain(windows, model, predicted, prior, coarse, enough, work, equations)
         new = clock[2] < MIN_POSES_OF_FLIGHT
         far_m = FIRST_POSES_REACH * reach if new else NEW_FLIGHT_REACH * reach
-        far_rad = FIRST_POSES_RAD if new else new_flight_rad(sigma_rad)
+        far_rad = FIRST_POSES_RAD if new else NEW_FLIGHT_RAD
         rotation_log(turn_from(R_ahead, Q), moved)
         turned = sqrt(moved[0] ** 2 + moved[1] ** 2 + moved[2] ** 2)
         gone = seen_distance_m(rig, p, p - ahead[:3], reach)
@@ -344,15 +343,6 @@ def track_frames(
             pose = PoseState(p, Q, predicted.velocity, predicted.omega)
             update_occluder_mask(windows, model, occluders, pose, work)
     return frames.shape[0]
-
-
-@compiled(nogil=True)
-def new_flight_rad(sigma_rad: float) -> float:
-    """Angle [rad] between a pose and a prediction with this standard error [rad] beyond which the pose belongs to a new flight.
-
-    What the motion does not determine, as the inclination of a face that is seen alone, is no impact. A distance needs no such
-    bound: it is measured as the camera sees it."""
-    return min(max(NEW_FLIGHT_RAD, PREDICTED_SIGMAS * sigma_rad), FIRST_POSES_RAD)
 
 
 @compiled(nogil=True)
