@@ -14,7 +14,7 @@ from diethrow.tracking.frame_to_frame import FrameTracker, TrackingTask
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.sequence.initialisation import find_initial_pose
-from diethrow.tracking.sequence.lost_ranges import with_lost_ranges
+from diethrow.tracking.sequence.lost_ranges import with_lost_ranges_found
 
 Array = NDArray[np.float64]
 
@@ -45,4 +45,4 @@ def whole_track() -> tuple[View, TrackingTask, ClipPoses, Throw]:
     view, source, tracker, poses, throw = cube_seen_late()
     tracker.track_to_end(source, poses, lambda frame: None, all_frames=True)
     task = TrackingTask(source, np.zeros(FRAMES, bool), None, lambda frame: None)
-    return view, task, with_lost_ranges(view, task, poses), throw
+    return view, task, with_lost_ranges_found(view, task, poses), throw

@@ -1,8 +1,8 @@
 """Tracking of the die from one frame to the next, through impacts.
 
 `FrameTracker` follows the die: in flight by its motion (`motion_filter`), behind an impact by trials of what may have happened
-there (`impact_trials`, `even_rotation`). `acceptance` has the thresholds that accept a pose. `tracking.sequence` tracks whole
-clips with it."""
+there (`impact_trials`, `even_rotation`). `acceptance` has the thresholds that accept a pose. `track_both_ways` follows it to
+both ends of a clip, the `TrackingTask`. `tracking.sequence` makes the poses of whole clips from that."""
 
 from .acceptance import AMBIGUOUS_COST as AMBIGUOUS_COST
 from .acceptance import FASTEST_M_S as FASTEST_M_S

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..frame_to_frame import BACKWARDS_MISSES, FrameTracker, TrackingTask
 from ..picture import View
 from ..pose import ClipPoses, pose_state, refine_pose
-from .comparison import CONTESTED_SHARE, FLIGHT_FRAMES, differ, explain_better
+from .compare_poses import CONTESTED_SHARE, FLIGHT_FRAMES, differ, explain_better
 from .initialisation import FULL_STAGE
 from .labelling import with_rows_of
 

@@ -15,7 +15,7 @@ from ..footage import FrameSource
 from ..frame_to_frame import FrameTracker, TrackingTask, track_both_ways
 from ..picture import View, flight_from, share_in_view
 from ..pose import ClipPoses
-from .comparison import CONTESTED_SHARE, differ, explain_better, windows_of
+from .compare_poses import CONTESTED_SHARE, differ, explain_better, windows_of
 from .initialisation import FULL_STAGE, find_lost_die, log_scatter
 from .labelling import with_rows_of
 from .places import PlacesBeside
@@ -23,12 +23,12 @@ from .places import PlacesBeside
 Mask = NDArray[np.bool_]
 Rows = NDArray[np.int64]
 
-LEAST_RESUMED_FRAMES = FULL_STAGE
+LEAST_LOST_FRAMES = FULL_STAGE
 """Frames without a pose that explains them from which on an initial pose is looked for among them: as many as show whether one
 is right."""
 UNEXPLAINED_RATIO = 1.25
 """Cost over the median of the clip from which poses do not explain their pictures, if it lies UNEXPLAINED_EXCESS_COST above as
-well: a median over LEAST_RESUMED_FRAMES frames, of which those beside an impact may be a few. Right poses of 39 random clips came
+well: a median over LEAST_LOST_FRAMES frames, of which those beside an impact may be a few. Right poses of 39 random clips came
 to 1.5 at the most, and are found again in vain; wrong ones that follow two impacts within frames to 1.3, others to 3."""
 UNEXPLAINED_EXCESS_COST = 0.5
 """Excess over that median; tracking itself measures costs from those of the frames before, and follows a wrong pose as these
@@ -44,7 +44,7 @@ JOINED_COST = 0.15
 not: single frames hardly distinguish a die from its depth reversal, and the motion does."""
 
 
-def with_lost_ranges(view: View, task: TrackingTask, poses: ClipPoses) -> ClipPoses:
+def with_lost_ranges_found(view: View, task: TrackingTask, poses: ClipPoses) -> ClipPoses:
     """The poses with those of ranges in which the die was lost while it was wholly in view, or in which the poses do not explain
     the pictures or lie on no flight, found anew."""
     source, given_up = task.source, np.zeros(len(poses.known), bool)
@@ -81,7 +81,7 @@ def _track_on(
     pictures worse: before a die was lost it may have been followed wrongly."""
     tracker.unused, tracker.next_frame = task.unused, row
     while tracker.misses == 0:
-        rows = row + step * np.arange(LEAST_RESUMED_FRAMES)
+        rows = row + step * np.arange(LEAST_LOST_FRAMES)
         rows = rows[(rows >= 0) & (rows < len(poses.known))]
         for k in rows.tolist():
             tracker.track(task.source.frame(k)[None], task.source.times_s, k, others)
@@ -90,7 +90,7 @@ def _track_on(
         ):
             others.known[rows] = False
             break
-        row += step * LEAST_RESUMED_FRAMES
+        row += step * LEAST_LOST_FRAMES
 
 
 def _agree(view: View, others: ClipPoses, poses: ClipPoses, rows: Rows) -> bool:
@@ -107,7 +107,7 @@ def _first_lost_range(view: View, source: FrameSource, poses: ClipPoses, unused:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], without, [False]])))
     for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         beside = [(k, step) for k, step in ((begin - 1, 1), (end, -1)) if 0 <= k < len(unused) and poses.known[k]]
-        if end - begin >= LEAST_RESUMED_FRAMES and any(_stays_in_view(view, source, poses, *one) for one in beside):
+        if end - begin >= LEAST_LOST_FRAMES and any(_stays_in_view(view, source, poses, *one) for one in beside):
             return slice(begin, end)
     return None
 
@@ -118,7 +118,7 @@ def _unexplained(poses: ClipPoses) -> Mask:
     out = np.zeros(len(poses.known), bool)
     cost = poses.cost[known]
     usual = float(np.median(cost)) if len(known) else 0.0
-    near = median_filter(cost, LEAST_RESUMED_FRAMES, mode="nearest") if len(known) else cost
+    near = median_filter(cost, LEAST_LOST_FRAMES, mode="nearest") if len(known) else cost
     out[known] = near > max(UNEXPLAINED_RATIO * usual, usual + UNEXPLAINED_EXCESS_COST)
     return out
 

@@ -11,7 +11,7 @@ from ..pose import ClipPoses, wholly_in_view
 from .backward_pass import with_backward_poses
 from .depth_reversal import correct_depth_reversals
 from .initialisation import find_initial_pose, initial_pose_by_hand
-from .lost_ranges import with_lost_ranges
+from .lost_ranges import with_lost_ranges_found
 
 
 class NoDieError(InputError):
@@ -46,5 +46,5 @@ def _track_once(view: View, task: TrackingTask) -> tuple[View, ClipPoses]:
     track_both_ways(tracker, task, poses)
     # The tracker's view contains the occluders that it found.
     poses = with_backward_poses(tracker.view, task, poses)
-    poses = with_lost_ranges(tracker.view, task, poses)
+    poses = with_lost_ranges_found(tracker.view, task, poses)
     return tracker.view, correct_depth_reversals(tracker.view, source, poses, task.unused)
