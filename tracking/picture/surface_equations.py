@@ -22,7 +22,7 @@ that has (1 - ρ_x)(1 - ρ_y)/((1 + ρ_x)(1 + ρ_y)) times the pixels, and the e
 
 from __future__ import annotations
 
-from math import isnan, log, sqrt
+from math import floor, isnan, log, sqrt
 from typing import Any
 
 import numpy as np
@@ -105,6 +105,8 @@ CELL_SIGMAS = 0.0625
 """Width of one of them, in standard deviations; larger residuals go into the last."""
 STEP_PX = 1.5
 """Distance from the contour, beyond a blur, at which a clear step is looked for on both sides."""
+STEP_DEPTHS = 3
+"""Depths, evenly spaced up to that distance, at which it is looked for within the contour."""
 CLEAR_PART = 0.3
 """Share of the predicted step that must be seen for it to be clear."""
 LEAST_NOISE_GREY = 0.5
@@ -321,6 +323,7 @@ def _add_pixels(
     row, top = np.zeros(_ALL), used_columns(sampling)
     blur = blur_of_pixels(view, model, pose, sampling.blur_px)
     slope, shown, shares = np.zeros(3 + LIGHT_TERMS), np.zeros(SHOWN_PARTS, np.int64), np.zeros(SHOWN_PARTS)
+    of_step = (sampling.blur_px, scale * sqrt(noise2))
     for i in range(grid.part.shape[0]):
         for j in range(grid.part.shape[1]):
             k = grid.side[i, j]
@@ -343,7 +346,7 @@ def _add_pixels(
                 stats[LOG_NOISE] += 0.5 * log(v) if settings.response == 0.0 else 0.0
             if abs(grid.beyond[i, j, 0]) < 0.5:
                 stats[CONTOUR_PX] += 1.0
-                if _is_clear(image, corner, grid, (i, j), under, (sampling.blur_px, scale * sqrt(noise2))):
+                if _is_clear(image, background, corner, grid, (i, j), shades[k], of_step):
                     stats[CLEAR_PX] += 1.0
             if part == NOTHING or not w > 0.0:
                 continue
@@ -519,19 +522,40 @@ def _independent_share(grid: SurfaceGrid, residual: Any, noise: Any, faces: int)
 
 
 @inner_no_memory
-def _is_clear(image: Any, corner: Any, grid: SurfaceGrid, pixel: Any, under: float, limits: Any) -> bool:
-    """Whether the picture has the predicted step across the contour at a pixel on it."""
+def _is_clear(image: Any, background: Any, corner: Any, grid: SurfaceGrid, pixel: Any, shade: float, limits: Any) -> bool:
+    """Whether the picture has the predicted step across the contour at a pixel on it: where that is largest, for a bevel may turn
+    dark only within a pixel of its limb."""
     (i, j), (blur_px, noise) = pixel, limits
     away = STEP_PX + blur_px
-    x, y = grid.x0 + j - corner[0], grid.y0 + i - corner[1]
     nx, ny, d = grid.beyond[i, j, 1], grid.beyond[i, j, 2], grid.beyond[i, j, 0]
-    x1, y1 = int(x - (d + away) * nx + 0.5), int(y - (d + away) * ny + 0.5)
-    x2, y2 = int(x - (d - away) * nx + 0.5), int(y - (d - away) * ny + 0.5)
-    height, width = image.shape
-    if min(x1, y1, x2, y2) < 0 or max(x1, x2) >= width or max(y1, y2) >= height:
+    rows, columns = grid.part.shape
+    i2, j2 = floor(i - (d - away) * ny + 0.5), floor(j - (d - away) * nx + 0.5)
+    if min(i2, j2) < 0 or i2 >= rows or j2 >= columns:
         return False
-    seen, step = image[y1, x1] - image[y2, x2], grid.bright[i, j] - under
+    seen, step = 0.0, 0.0
+    seen2, expected2 = _unlike_background(image, background, corner, grid, (i2, j2), shade)
+    for k in range(STEP_DEPTHS):
+        depth = away * (k + 1.0) / STEP_DEPTHS
+        i1, j1 = floor(i - (d + depth) * ny + 0.5), floor(j - (d + depth) * nx + 0.5)
+        if min(i1, j1) < 0 or i1 >= rows or j1 >= columns:
+            continue
+        seen1, expected1 = _unlike_background(image, background, corner, grid, (i1, j1), shade)
+        if abs(expected1 - expected2) > abs(step):
+            seen, step = seen1 - seen2, expected1 - expected2
     return seen * step > 0.0 and abs(seen) > max(CLEAR_SIGMAS * noise, CLEAR_PART * abs(step))
+
+
+@inner_no_memory
+def _unlike_background(
+    image: Any, background: Any, corner: Any, grid: SurfaceGrid, pixel: Any, shade: float
+) -> tuple[float, float]:
+    """How much a pixel differs from the shaded background [grey], seen and predicted."""
+    i, j = pixel
+    under = shade * background[grid.y0 + i, grid.x0 + j]
+    return (
+        image[grid.y0 + i - corner[1], grid.x0 + j - corner[0]] - under,
+        grid.glow[i, j] - grid.share[i, j] * under,
+    )
 
 
 @inner_no_memory
