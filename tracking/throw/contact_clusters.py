@@ -1,13 +1,16 @@
 """Contact clusters: impacts that follow each other within a few frames; which vertices struck, and when.
 
-A fast die strikes again before it has flown for three frames, and no flight in between can be fitted alone. But a flight that is
-known up to the first contact determines, for each coefficient of restitution, all that follows. The model (`model.throw`) is run
-for several restitutions, and with friction if the other impacts of the throw show any. Each sequence of vertices that results is
-a hypothesis. It starts from the model's own motion and is then fitted as a chain of impacts (`flight_chain.VertexImpact`), under
-the conditions of any impact only: restitution may differ from contact to contact, and friction may act.
+A fast die strikes again before it has flown for three frames, and no flight in between can be fitted alone. A die that lands
+nearly flat strikes twice between two frames: one impact then explains the frames badly, and yet leaves none of them off its
+flight. But a flight that is known up to the first contact determines, for each coefficient of restitution, all that follows. The
+model (`model.throw`) is run for several restitutions, with friction if the other impacts of the throw show any, and with the die
+tilted by its errors. Each sequence of vertices that results is a hypothesis. It starts from the model's own motion and is then
+fitted as a chain of impacts (`flight_chain.VertexImpact`), under the conditions of any impact only: restitution may differ from
+contact to contact, and friction may act.
 
 The sequence that explains the frames best is accepted if it explains them as well as two unrelated flights do, if no other
-sequence comes near it, and if every instant is known (`instant_limit_s`). Otherwise the link stays open.
+sequence comes near it, and if every instant is known (`instant_limit_s`). Otherwise the link stays open, and one that counted as
+one impact is opened where all that come near have several.
 
 The tracker may resume behind such contacts with another labelling of the die's faces. The model determines the labelling: frames
 are relabelled by the symmetry that rotates them nearest to it.
@@ -21,11 +24,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.die import Die, nearest_equivalent_rotation, symmetry_rotations
+from ...model.die import Die, inner_vertices, nearest_equivalent_rotation, symmetry_rotations
 from ...model.laws import CoulombImpact, ImpactLaw, SmoothImpact
-from ...model.rotations import angle_between, matrix_from_quat, quat_from_matrix
-from ...model.throw import State, Throw, Until, throw_die
-from ..flights import CUTOFF_SIGMAS, FlightChain, Link, VertexImpact, WeightedPoses
+from ...model.rotations import angle_between, matrix_from_quat, quat_from_matrix, quat_from_rotvec, quat_multiply
+from ...model.throw import Flight, State, Throw, Until, throw_die
+from ..flights import CUTOFF_SIGMAS, FlightChain, Link, VertexImpact, WeightedPoses, transition_matrices
 from .flight_segmentation import SHORTEST_WINDOW_S, WINDOW
 
 Array = NDArray[np.float64]
@@ -54,6 +57,12 @@ INSTANT_FRAMES = 0.4
 """Standard error of an instant, in frames, beyond which it counts as unknown."""
 MISLABELLED_RAD = 0.35
 """Angle [rad] from the model, under every labelling, beyond which a frame is an outlier and keeps its labelling."""
+STRIKES_AGAIN_FRAMES = 1.5
+"""Time, in frames, within which a second contact need not show as frames that lie on no flight."""
+TILT_SIGMAS = (-1.5, 1.5)
+"""Standard errors by which a release is tilted."""
+ROUGH_STRIDE = 4
+"""One law in so many is tried on each of these."""
 LIFTS = (0.0, 0.02, 0.05, 0.1)
 """Heights, as shares of an edge, by which a release is raised until it lies above the table: depth error puts a die into it."""
 
@@ -80,15 +89,16 @@ class _Hypothesis:
 def resolve_cluster(
     observations: WeightedPoses, chain: FlightChain, k: int, die: Die, impacts: Sequence[VertexImpact], fit: Fit
 ) -> tuple[WeightedPoses, FlightChain, int] | None:
-    """The frames (relabelled where necessary), the chain with link k and its neighbours resolved into impacts, and the index of
-    the first of these; None if they cannot be resolved. `impacts` are those at each vertex."""
+    """The frames (relabelled where necessary), the chain with link k and its neighbours resolved into impacts, or opened where
+    several are certain but not known, and the index of the first of these; None if the link stays as it is. `impacts` are those
+    at each vertex."""
     before = _known_flight(observations, chain, range(k, -1, -1))
     after = _known_flight(observations, chain, range(k + 1, len(chain.flights)))
     if before is None or after is None or not die.is_nearly_centred:
         return None
     ends = int(_inliers(observations, chain, before)[-1]), int(_inliers(observations, chain, after)[0])
     fitted = []
-    for hypothesis in _hypotheses(observations, chain, before, ends, die)[:MAX_FITTED]:
+    for hypothesis in _hypotheses(observations, chain, k, before, ends, die)[:MAX_FITTED]:
         own = _relabelled(observations, hypothesis, ends, die)
         starts, links = _chain_with(chain, before, after, hypothesis, own, impacts, die)
         if links:
@@ -100,12 +110,24 @@ def resolve_cluster(
     new = slice(before, before + len(hypothesis.vertices))
     is_unknown = bool((best.sigma_time_s[new] > instant_limit_s(observations.time_s)).any())
     # The same sequence with another impact in it that explains no more does not compete.
-    competitors = [other.cost for _, other, third in fitted[1:] if not _contains(third.vertices, hypothesis.vertices)]
-    # An open link has more freedom than impacts and may cost less; a link taken for a single impact has less.
-    allowed = chain.cost + (2.0 * CUTOFF_SIGMAS**2 if chain.links[k].is_open else -DECISIVE)
-    if is_unknown or (competitors and competitors[0] - best.cost < DECISIVE) or best.cost > allowed:
+    competitors = [
+        third.vertices
+        for _, other, third in fitted[1:]
+        if other.cost - best.cost < DECISIVE and not _contains(third.vertices, hypothesis.vertices)
+    ]
+    # An open link, and free jumps, have more freedom than impacts and may cost less; a link taken for a single impact has less.
+    is_impact = chain.links[k].impact is not None
+    allowed = chain.cost + (2.0 * CUTOFF_SIGMAS**2 if chain.links[k].is_open else -DECISIVE if is_impact else 0.0)
+    if best.cost > allowed:
         return None
-    return own, best, before
+    if not is_unknown and not competitors:
+        return own, best, before
+    is_one = any(len(vertices) == 1 for vertices in (hypothesis.vertices, *competitors))
+    if chain.links[k].is_open or is_one:
+        return None
+    # There were several, and neither they nor the motion through them are known.
+    links = [replace(link, is_open=True, impact=None) if j == k else link for j, link in enumerate(chain.links)]
+    return observations, fit(observations, [flight.start for flight in chain.flights], links), k
 
 
 def _contains(vertices: tuple[int, ...], part: tuple[int, ...]) -> bool:
@@ -122,6 +144,38 @@ def is_crowded(observations: WeightedPoses, chain: FlightChain, k: int) -> bool:
     return int((chain.weights[near] < OUTLIER_WEIGHT).sum()) > 1
 
 
+def may_strike_twice(observations: WeightedPoses, chain: FlightChain, k: int, die: Die) -> bool:
+    """Whether another vertex may strike within STRIKES_AGAIN_FRAMES after the first at a link that counts as one impact: no frame
+    need show it then.
+
+    A smooth impact of any restitution on the lowest vertex sends the others down no faster than one of 0 or of 1."""
+    flight, time_s = chain.flights[k], chain.links[k].time_s
+    state, tilts = flight.at(time_s), _covariance_at(flight, time_s)[3:5, 3:5]
+    if not np.isfinite(tilts).all():
+        return False
+    R = state.rotation
+    arms = inner_vertices(die.solid, die.corner_radius_m) @ R.T
+    low = int(np.argmin(arms[:, 2]))
+    torques = np.cross(arms, [0.0, 0.0, 1.0])
+    speeds = state.velocity_m_s[2] + torques @ state.omega_rad_s
+    answers = 1.0 / die.mass_kg + torques @ np.linalg.solve(R @ die.tensor_kg_m2 @ R.T, torques[low])
+    stopped = speeds - speeds[low] * answers / answers[low]
+    slowest = np.minimum(stopped, 2.0 * stopped - speeds)
+    within_s = STRIKES_AGAIN_FRAMES * max(float(np.median(np.diff(observations.time_s))), SHORTEST_WINDOW_S / WINDOW)
+    tilt_rad = np.sqrt(float(np.linalg.eigvalsh(tilts)[-1]))
+    higher = np.linalg.norm((arms - arms[low])[:, :2], axis=1) * TILT_SIGMAS[-1] * tilt_rad
+    reached = arms[:, 2] - arms[low, 2] - higher < np.maximum(-slowest, 0.0) * within_s
+    return bool(speeds[low] < 0.0 and np.delete(reached, low).any())
+
+
+def _covariance_at(flight: Flight, time_s: float) -> Array:
+    """(12, 12) of the state of a flight at an instant; NaN if it is not known."""
+    if flight.covariance is None:
+        return np.full((12, 12), np.nan)
+    to_there = transition_matrices(flight, np.array([time_s]))[0]
+    return np.asarray(to_there @ flight.covariance @ to_there.T)
+
+
 def _inliers(observations: WeightedPoses, chain: FlightChain, flight: int) -> NDArray[np.int64]:
     """Rows of a flight that lie on it."""
     ends = [-np.inf, *chain.link_times_s, np.inf]
@@ -135,25 +189,63 @@ def _known_flight(observations: WeightedPoses, chain: FlightChain, flights: rang
 
 
 def _hypotheses(
-    observations: WeightedPoses, chain: FlightChain, before: int, ends: tuple[int, int], die: Die
+    observations: WeightedPoses, chain: FlightChain, k: int, before: int, ends: tuple[int, int], die: Die
 ) -> list[_Hypothesis]:
-    """The model's continuations of the flight before, under several laws; one for each sequence of vertices, the nearest
-    first."""
-    flight = chain.flights[before]
-    release = flight.at(float(observations.time_s[ends[0]]))
+    """The model's continuations of the flight before link k, under several laws; one for each sequence of vertices, the nearest
+    first. None of them if the link counts as one impact and a rough search finds no second."""
+    laws = _laws(chain, die)
+    releases = _releases(chain.flights[before], float(observations.time_s[ends[0]]))
     until_s = float(observations.time_s[ends[1]])
+    some = laws[::ROUGH_STRIDE]
+    throws = [throw for start in releases for law in some if (throw := _simulated(die, start, law, until_s))]
+    is_one_impact = not chain.links[k].is_open and not is_crowded(observations, chain, k)
+    if is_one_impact and all(len(_struck(throw, until_s)) < 2 for throw in throws):
+        return []
+    others = [law for law in laws if law not in some]
+    throws += [throw for law in others if (throw := _simulated(die, releases[0], law, until_s))]
     nearest: dict[tuple[int, ...], _Hypothesis] = {}
-    for law in _laws(chain, die):
-        throw = _simulated(die, release, law, until_s)
-        impacts = [impact for impact in throw.impacts if impact.time_s < until_s] if throw else []
-        vertices = tuple(v for impact in impacts for v in impact.vertices[:1])
-        at_vertices = all(impact.contact == "vertex" for impact in impacts)
-        if throw is None or not 1 <= len(vertices) <= MAX_IMPACTS or not at_vertices:
-            continue
-        distance = _distance(observations, throw, ends, die)
-        if vertices not in nearest or distance < nearest[vertices].distance:
-            nearest[vertices] = _Hypothesis(vertices, throw, distance)
+    for throw in throws:
+        vertices = _struck(throw, until_s)
+        if 1 <= len(vertices) <= MAX_IMPACTS:
+            distance = _distance(observations, throw, ends, die)
+            if vertices not in nearest or distance < nearest[vertices].distance:
+                nearest[vertices] = _Hypothesis(vertices, throw, distance)
     return sorted(nearest.values(), key=lambda hypothesis: hypothesis.distance)
+
+
+def _struck(throw: Throw, until_s: float) -> tuple[int, ...]:
+    """The vertices that strike before an instant, in order; none where several strike at once."""
+    impacts = [impact for impact in throw.impacts if impact.time_s < until_s]
+    at_vertices = all(impact.contact == "vertex" for impact in impacts)
+    return tuple(impact.vertices[0] for impact in impacts) if at_vertices else ()
+
+
+def _releases(flight: Flight, time_s: float) -> list[State]:
+    """The state of a flight at an instant, and states that its errors allow, tilted about either horizontal direction: which of
+    several low vertices strikes first may hang on a fraction of a degree."""
+    state = flight.at(time_s)
+    C = _covariance_at(flight, time_s)
+    if not np.isfinite(C).all():
+        return [state]
+    variances, directions = np.linalg.eigh(C[3:5, 3:5])
+    states = [state]
+    for variance, direction in zip(variances, directions.T, strict=True):
+        if variance > 0.0:
+            # The likeliest change of all twelve numbers for this tilt.
+            change = C[:, 3:5] @ direction / np.sqrt(variance)
+            states += [_changed(state, sigmas * change) for sigmas in TILT_SIGMAS]
+    return states
+
+
+def _changed(state: State, change: Array) -> State:
+    """A state with a change (12,) of its position, rotation, velocity and angular velocity."""
+    return State(
+        state.time_s,
+        state.position_m + change[:3],
+        quat_multiply(quat_from_rotvec(change[None, 3:6]), state.quaternion[None])[0],
+        state.velocity_m_s + change[6:9],
+        state.omega_rad_s + change[9:],
+    )
 
 
 def _laws(chain: FlightChain, die: Die) -> list[ImpactLaw]:
