@@ -522,7 +522,9 @@ def _independent_share(grid: SurfaceGrid, residual: Any, noise: Any, faces: int)
 
 
 @inner_no_memory
-def _is_clear(image: Any, background: Any, corner: Any, grid: SurfaceGrid, pixel: Any, shade: float, limits: Any) -> bool:
+def _is_clear(
+    image: Any, background: Any, corner: Any, grid: SurfaceGrid, pixel: Any, shade: float, limits: Any
+) -> bool:
     """Whether the picture has the predicted step across the contour at a pixel on it: where that is largest, for a bevel may turn
     dark only within a pixel of its limb."""
     (i, j), (blur_px, noise) = pixel, limits
