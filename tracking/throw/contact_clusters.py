@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 
 from ...model.die import Die, inner_vertices, nearest_equivalent_rotation, symmetry_rotations
 from ...model.laws import CoulombImpact, ImpactLaw, SmoothImpact
-from ...model.rotations import angle_between, matrix_from_quat, quat_from_matrix, quat_from_rotvec, quat_multiply
+from ...model.rotations import angle_between, matrix_from_quat, quat_from_matrix
 from ...model.throw import Flight, State, Throw, Until, throw_die
-from ..flights import CUTOFF_SIGMAS, FlightChain, Link, VertexImpact, WeightedPoses, transition_matrices
+from ..flights import CUTOFF_SIGMAS, FlightChain, Link, VertexImpact, WeightedPoses, perturbed, transition_matrices
 from .flight_segmentation import SHORTEST_WINDOW_S, WINDOW
 
 Array = NDArray[np.float64]
@@ -233,19 +233,8 @@ def _releases(flight: Flight, time_s: float) -> list[State]:
         if variance > 0.0:
             # The likeliest change of all twelve numbers for this tilt.
             change = C[:, 3:5] @ direction / np.sqrt(variance)
-            states += [_changed(state, sigmas * change) for sigmas in TILT_SIGMAS]
+            states += [perturbed(state, sigmas * change) for sigmas in TILT_SIGMAS]
     return states
-
-
-def _changed(state: State, change: Array) -> State:
-    """A state with a change (12,) of its position, rotation, velocity and angular velocity."""
-    return State(
-        state.time_s,
-        state.position_m + change[:3],
-        quat_multiply(quat_from_rotvec(change[None, 3:6]), state.quaternion[None])[0],
-        state.velocity_m_s + change[6:9],
-        state.omega_rad_s + change[9:],
-    )
 
 
 def _laws(chain: FlightChain, die: Die) -> list[ImpactLaw]:
