@@ -25,14 +25,14 @@ from itertools import islice
 from typing import TypeVar
 
 import numpy as np
-from flat_landings import FLAT_DICE, FPS, flat_landings
+from flat_landings import FLAT_DICE, FPS, flat_landings, off_behind
 from footage_of_throws import studio
 from measuring import timed
 from numpy.typing import NDArray
 
 from diethrow.model.die.die import Die, make_die
 from diethrow.model.laws import SmoothImpact
-from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
+from diethrow.model.rotations import quat_from_rotvec, quat_multiply
 from diethrow.model.throw.motion import State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.throw.measurement import measure, with_calibrated_covariance
@@ -48,9 +48,8 @@ USUAL_FPS, AFTER_S = 1500.0, 0.04
 """Frames a second of the throws with many bounces; how long the die is seen behind the last."""
 ACROSS_M, ALONG_M, TURN_RAD = 2e-5, 1.5e-4, np.radians(0.1)
 """Sigmas of a frame: across the line of sight, along it, and of the turn."""
-FRAMES_BEHIND, FIVE_SIGMAS = 4, 43.0
-"""Frames behind two impacts that are judged; squared Mahalanobis distance of six numbers as improbable as five standard
-deviations of one."""
+FRAMES_BEHIND = 4
+"""Frames behind two impacts that are judged."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -127,13 +126,8 @@ def report_flat(name: str, die: Die, count: int) -> None:
         found = measure(track, die)
         both += [impact.vertices for impact in found.throw.impacts] == [impact.vertices for impact in throw.impacts]
         unresolved += any(impact.contact == "unresolved" for impact in found.throw.impacts)
-        rows = np.flatnonzero(track.time_s > throw.impacts[1].time_s)[:FRAMES_BEHIND]
-        position_m, quaternion = throw.poses(track.time_s[rows])
-        turned = rotation_between(quaternion, found.smoothed_frames.quaternion[rows])
-        error = np.concatenate([found.smoothed_frames.position_m[rows] - position_m, turned], axis=1)
-        whitened = np.linalg.solve(found.smoothed_frames.covariance[rows], error[..., None])[..., 0]
-        off += int((np.einsum("ni,ni->n", error, whitened) > FIVE_SIGMAS).sum())
-        behind += len(rows)
+        poses_off = off_behind(throw, found.smoothed_frames)[:FRAMES_BEHIND]
+        off, behind = off + int(poses_off.sum()), behind + len(poses_off)
     print(f"{name:12s} both {both} of {count}, unresolved {unresolved}; frames off {off} of {behind}", flush=True)
 
 

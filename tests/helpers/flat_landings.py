@@ -6,12 +6,15 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from random_throws import random_quaternion
 
 from diethrow.model.die.die import Die, make_die
 from diethrow.model.laws import SmoothImpact
+from diethrow.model.rotations import rotation_between
 from diethrow.model.throw.motion import State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.tracking.track import Track
 
 FPS = 1500.0
 FLAT_DICE = {
@@ -21,6 +24,8 @@ FLAT_DICE = {
 }
 LEAST_FRAMES, MOST_FRAMES = 12.0, 40.0
 """Frames of flight before and behind the two impacts; at most, behind them."""
+FIVE_SIGMAS = 43.0
+"""Squared Mahalanobis distance of six numbers as improbable as five standard deviations of one."""
 
 
 def flat_landings(die: Die) -> Iterator[tuple[Throw, np.random.Generator]]:
@@ -39,3 +44,13 @@ def flat_landings(die: Die) -> Iterator[tuple[Throw, np.random.Generator]]:
         if 0.05 < frames[1] - frames[0] < 0.9:
             end_s = whole.impacts[1].time_s + min(frames[2] - frames[1] - 0.5, MOST_FRAMES) / FPS
             yield Throw((*whole.flights[:2], replace(whole.flights[2], end_s=end_s)), whole.impacts[:2]), rng
+
+
+def off_behind(throw: Throw, track: Track) -> NDArray[np.bool_]:
+    """(n,) whether the poses of a track behind the second impact of a throw are off by over five standard errors."""
+    rows = np.flatnonzero(track.time_s > throw.impacts[1].time_s)
+    positions_m, quaternions = throw.poses(track.time_s[rows])
+    turned = rotation_between(quaternions, track.quaternion[rows])
+    error = np.concatenate([track.position_m[rows] - positions_m, turned], axis=1)
+    whitened = np.linalg.solve(track.covariance[rows], error[..., None])[..., 0]
+    return np.asarray(np.einsum("ni,ni->n", error, whitened) > FIVE_SIGMAS)

@@ -323,7 +323,7 @@ def _add_pixels(
     row, top = np.zeros(_ALL), used_columns(sampling)
     blur = blur_of_pixels(view, model, pose, sampling.blur_px)
     slope, shown, shares = np.zeros(3 + LIGHT_TERMS), np.zeros(SHOWN_PARTS, np.int64), np.zeros(SHOWN_PARTS)
-    of_step = (sampling.blur_px, scale * sqrt(noise2))
+    limits = (sampling.blur_px, scale * sqrt(noise2))
     for i in range(grid.part.shape[0]):
         for j in range(grid.part.shape[1]):
             k = grid.side[i, j]
@@ -346,7 +346,7 @@ def _add_pixels(
                 stats[LOG_NOISE] += 0.5 * log(v) if settings.response == 0.0 else 0.0
             if abs(grid.beyond[i, j, 0]) < 0.5:
                 stats[CONTOUR_PX] += 1.0
-                if _is_clear(image, background, corner, grid, (i, j), shades[k], of_step):
+                if _is_clear(image, background, corner, grid, (i, j), shades[k], limits):
                     stats[CLEAR_PX] += 1.0
             if part == NOTHING or not w > 0.0:
                 continue

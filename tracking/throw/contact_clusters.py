@@ -28,7 +28,7 @@ from ...model.die import Die, inner_vertices, nearest_equivalent_rotation, symme
 from ...model.laws import CoulombImpact, ImpactLaw, SmoothImpact
 from ...model.rotations import angle_between, matrix_from_quat, quat_from_matrix
 from ...model.throw import Flight, State, Throw, Until, throw_die
-from ..flights import CUTOFF_SIGMAS, FlightChain, Link, VertexImpact, WeightedPoses, perturbed, transition_matrices
+from ..flights import CUTOFF_SIGMAS, FlightChain, Link, VertexImpact, WeightedPoses, perturbed, transition_matrix
 from .flight_segmentation import SHORTEST_WINDOW_S, WINDOW
 
 Array = NDArray[np.float64]
@@ -72,7 +72,12 @@ def instant_limit_s(time_s: Array) -> float:
 
     On a film so fast that segmentation uses windows of fixed duration, that duration sets the limit, not the frames: they may
     follow each other faster than any instant is known."""
-    return INSTANT_FRAMES * max(float(np.median(np.diff(time_s))), SHORTEST_WINDOW_S / WINDOW)
+    return INSTANT_FRAMES * _resolvable_s(time_s)
+
+
+def _resolvable_s(time_s: Array) -> float:
+    """Time [s] from one frame to the next, but no less than segmentation goes by."""
+    return max(float(np.median(np.diff(time_s))), SHORTEST_WINDOW_S / WINDOW)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,14 +96,21 @@ def resolve_cluster(
 ) -> tuple[WeightedPoses, FlightChain, int] | None:
     """The frames (relabelled where necessary), the chain with link k and its neighbours resolved into impacts, or opened where
     several are certain but not known, and the index of the first of these; None if the link stays as it is. `impacts` are those
-    at each vertex."""
+    at each vertex.
+
+    An open link and one with unexplained frames beside it hide something; any other only where the model strikes twice."""
+    if not die.is_nearly_centred:
+        return None
+    hides_more = chain.links[k].is_open or _is_crowded(observations, chain, k)
+    if not hides_more and not _may_strike_twice(observations, chain, k, die):
+        return None
     before = _known_flight(observations, chain, range(k, -1, -1))
     after = _known_flight(observations, chain, range(k + 1, len(chain.flights)))
-    if before is None or after is None or not die.is_nearly_centred:
+    if before is None or after is None:
         return None
     ends = int(_inliers(observations, chain, before)[-1]), int(_inliers(observations, chain, after)[0])
     fitted = []
-    for hypothesis in _hypotheses(observations, chain, k, before, ends, die)[:MAX_FITTED]:
+    for hypothesis in _hypotheses(observations, chain, before, ends, die, least=1 if hides_more else 2)[:MAX_FITTED]:
         own = _relabelled(observations, hypothesis, ends, die)
         starts, links = _chain_with(chain, before, after, hypothesis, own, impacts, die)
         if links:
@@ -136,7 +148,7 @@ def _contains(vertices: tuple[int, ...], part: tuple[int, ...]) -> bool:
     return all(vertex in rest for vertex in part)
 
 
-def is_crowded(observations: WeightedPoses, chain: FlightChain, k: int) -> bool:
+def _is_crowded(observations: WeightedPoses, chain: FlightChain, k: int) -> bool:
     """Whether several frames beside a link lie on neither of its flights: an impact may fall within the exposure of one frame;
     several show another impact."""
     row = int(np.searchsorted(observations.time_s, chain.links[k].time_s))
@@ -144,7 +156,7 @@ def is_crowded(observations: WeightedPoses, chain: FlightChain, k: int) -> bool:
     return int((chain.weights[near] < OUTLIER_WEIGHT).sum()) > 1
 
 
-def may_strike_twice(observations: WeightedPoses, chain: FlightChain, k: int, die: Die) -> bool:
+def _may_strike_twice(observations: WeightedPoses, chain: FlightChain, k: int, die: Die) -> bool:
     """Whether another vertex may strike within STRIKES_AGAIN_FRAMES after the first at a link that counts as one impact: no frame
     need show it then.
 
@@ -161,7 +173,7 @@ def may_strike_twice(observations: WeightedPoses, chain: FlightChain, k: int, di
     answers = 1.0 / die.mass_kg + torques @ np.linalg.solve(R @ die.tensor_kg_m2 @ R.T, torques[low])
     stopped = speeds - speeds[low] * answers / answers[low]
     slowest = np.minimum(stopped, 2.0 * stopped - speeds)
-    within_s = STRIKES_AGAIN_FRAMES * max(float(np.median(np.diff(observations.time_s))), SHORTEST_WINDOW_S / WINDOW)
+    within_s = STRIKES_AGAIN_FRAMES * _resolvable_s(observations.time_s)
     tilt_rad = np.sqrt(float(np.linalg.eigvalsh(tilts)[-1]))
     higher = np.linalg.norm((arms - arms[low])[:, :2], axis=1) * TILT_SIGMAS[-1] * tilt_rad
     reached = arms[:, 2] - arms[low, 2] - higher < np.maximum(-slowest, 0.0) * within_s
@@ -172,7 +184,7 @@ def _covariance_at(flight: Flight, time_s: float) -> Array:
     """(12, 12) of the state of a flight at an instant; NaN if it is not known."""
     if flight.covariance is None:
         return np.full((12, 12), np.nan)
-    to_there = transition_matrices(flight, np.array([time_s]))[0]
+    to_there = transition_matrix(flight, time_s)
     return np.asarray(to_there @ flight.covariance @ to_there.T)
 
 
@@ -189,17 +201,16 @@ def _known_flight(observations: WeightedPoses, chain: FlightChain, flights: rang
 
 
 def _hypotheses(
-    observations: WeightedPoses, chain: FlightChain, k: int, before: int, ends: tuple[int, int], die: Die
+    observations: WeightedPoses, chain: FlightChain, before: int, ends: tuple[int, int], die: Die, *, least: int
 ) -> list[_Hypothesis]:
-    """The model's continuations of the flight before link k, under several laws; one for each sequence of vertices, the nearest
-    first. None of them if the link counts as one impact and a rough search finds no second."""
+    """The model's continuations of the flight before, under several laws; one for each sequence of vertices, the nearest first.
+    None of them if no throw of a rough search has the `least` number of impacts."""
     laws = _laws(chain, die)
     releases = _releases(chain.flights[before], float(observations.time_s[ends[0]]))
     until_s = float(observations.time_s[ends[1]])
     some = laws[::ROUGH_STRIDE]
     throws = [throw for start in releases for law in some if (throw := _simulated(die, start, law, until_s))]
-    is_one_impact = not chain.links[k].is_open and not is_crowded(observations, chain, k)
-    if is_one_impact and all(len(_struck(throw, until_s)) < 2 for throw in throws):
+    if least > 1 and all(len(_struck(throw, until_s)) < least for throw in throws):
         return []
     others = [law for law in laws if law not in some]
     throws += [throw for law in others if (throw := _simulated(die, releases[0], law, until_s))]

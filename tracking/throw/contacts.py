@@ -32,7 +32,7 @@ from ..flights import (
     rms_residuals,
     vertex_impact_cost,
 )
-from .contact_clusters import instant_limit_s, is_crowded, may_strike_twice, resolve_cluster
+from .contact_clusters import instant_limit_s, resolve_cluster
 from .flight_segmentation import MIN_FRAMES, TABLE_REACH
 from .rest import lowest_heights_m
 
@@ -540,8 +540,8 @@ def _without_spurious_impacts(observations: WeightedPoses, chain: FlightChain, d
 def _with_resolved_clusters(
     observations: WeightedPoses, chain: FlightChain, die: Die, priors: Priors
 ) -> tuple[WeightedPoses, FlightChain]:
-    """The frames and the chain, with open links, links with unexplained frames beside them, and those behind which another vertex
-    may strike before the next frame, resolved into several impacts where the model determines these."""
+    """The frames and the chain, with the links that hide several impacts resolved into these where the model determines them
+    (`resolve_cluster`)."""
     impacts, errors = vertex_impacts(die), chain.errors
 
     def fit(own: WeightedPoses, starts: Sequence[State], links: Sequence[Link]) -> FlightChain:
@@ -549,10 +549,7 @@ def _with_resolved_clusters(
 
     k = len(chain.links) - 1
     while k >= 0 and impacts:
-        resolved = None
-        hides_more = chain.links[k].is_open or is_crowded(observations, chain, k)
-        if hides_more or may_strike_twice(observations, chain, k, die):
-            resolved = resolve_cluster(observations, chain, k, die, impacts, fit)
+        resolved = resolve_cluster(observations, chain, k, die, impacts, fit)
         if resolved:
             observations, chain, first = resolved
             k = first - 1

@@ -6,16 +6,13 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from flat_landings import FLAT_DICE, flat_landings
+from flat_landings import FLAT_DICE, flat_landings, off_behind
 from throws import random_release, seen, true_throw
 
 from diethrow.model.die.die import Die
-from diethrow.model.rotations import rotation_between
 from diethrow.tracking.throw.measurement import measure
 
 THROWS = 8
-FIVE_SIGMAS = 43.0
-"""Squared Mahalanobis distance of six numbers as improbable as five standard deviations of one."""
 
 
 @pytest.mark.parametrize("die", FLAT_DICE.values(), ids=FLAT_DICE)
@@ -24,12 +21,7 @@ def test_two_contacts_between_two_frames_are_both_found_and_spoil_no_pose_behind
     for throw, rng in islice(flat_landings(die), THROWS):
         track = seen(throw, rng)
         measured = measure(track, die)
-        poses, behind = measured.smoothed_frames, track.time_s > throw.impacts[1].time_s
-        positions_m, quaternions = throw.poses(track.time_s[behind])
-        turned = rotation_between(quaternions, poses.quaternion[behind])
-        error = np.concatenate([poses.position_m[behind] - positions_m, turned], axis=1)
-        nees = np.einsum("ni,ni->n", error, np.linalg.solve(poses.covariance[behind], error[..., None])[..., 0])
-        wrong += int((nees > FIVE_SIGMAS).any())
+        wrong += int(off_behind(throw, measured.smoothed_frames).any())
         found += [impact.vertices for impact in measured.throw.impacts] == [impact.vertices for impact in throw.impacts]
     # Taken for one impact, which none of the frames contradicts alone, the two spoiled every fourth throw.
     assert found >= THROWS - 2
