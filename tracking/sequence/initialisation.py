@@ -55,7 +55,7 @@ from ..pose import (
     velocity_across_m_s,
     weak_priors,
 )
-from ..throw import TABLE_REACH
+from ..throw import contact_reach_m
 from .places import PlacesBeside
 
 Array = NDArray[np.float64]
@@ -520,7 +520,7 @@ def _is_below_table(tracker: FrameTracker) -> bool:
     outline, as of a tetrahedron that turns a face or a corner to the camera, may put it there."""
     lowest = float(lowest_m(tracker.view.shape, tracker.motion[:3], tracker.rotation))
     sigma_m = float(np.sqrt(max(tracker.P[2, 2], 0.0)))
-    return lowest < -max(TABLE_REACH * tracker.view.die.solid.edge_m, HEIGHT_SIGMAS * sigma_m)
+    return lowest < -max(contact_reach_m(tracker.view.die), HEIGHT_SIGMAS * sigma_m)
 
 
 def _score(view: View, poses: ClipPoses, times_s: Array, since: int, until: int) -> Score:

@@ -42,7 +42,7 @@ from ..picture import (
     shares_in_view,
 )
 from ..pose import LEAST_CONTOUR_PX, ClipPoses, covariances, refine_frames, seen_distance_m, weak_priors
-from ..throw import TABLE_REACH, lowest_heights_m
+from ..throw import contact_reach_m, lowest_heights_m
 from .labelling import with_labels_of_flights
 
 Array = NDArray[np.float64]
@@ -97,7 +97,7 @@ class EdgeRefinement:
             reference = _poses_on_flights(view, self.throw, self.source.times_s)
             # Beyond its frames a flight goes on into the table, where some background looks like a die.
             heights_m = lowest_heights_m(view.die, reference.position_m, quat_from_matrix(reference.rotation))
-            rows = rows & ((heights_m > -TABLE_REACH * view.die.solid.edge_m) | tracked.known)
+            rows = rows & ((heights_m > -contact_reach_m(view.die)) | tracked.known)
             from_both = rows & self._differ_from(reference)
             attempts = [
                 _Attempt(view, settings, some, use, self.offsets, from_both, tracked)

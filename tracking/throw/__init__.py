@@ -21,7 +21,7 @@ from .calibration_errors import usual_covariance as usual_covariance
 from .flight_segmentation import ENOUGH_FRAMES as ENOUGH_FRAMES
 from .flight_segmentation import SMALL_MOVE_REACH as SMALL_MOVE_REACH
 from .flight_segmentation import SMALL_TURN_RAD as SMALL_TURN_RAD
-from .flight_segmentation import TABLE_REACH as TABLE_REACH
+from .flight_segmentation import contact_reach_m as contact_reach_m
 from .flight_segmentation import decimation_factor as decimation_factor
 from .flight_segmentation import rows_without_outliers as rows_without_outliers
 from .measurement import OFF_FLIGHT_RAD as OFF_FLIGHT_RAD

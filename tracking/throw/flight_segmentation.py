@@ -63,9 +63,15 @@ SMALL_TURN_RAD = np.radians(2.0)
 IGNORED_FASTEST_MOVES = 20
 """Largest moves that are ignored, because they may be those of outliers: a die that rests through most of its film has still
 flown as fast as any."""
-TABLE_REACH = 0.35
-"""Largest distance of a contact's lowest vertex from the table, as a share of an edge: rounding, calibration and depth error
-(half a per cent of the distance to the camera is a quarter of a die)."""
+CONTACT_REACH = 0.5
+"""Largest distance of a contact's lowest vertex from the table, in circumradii: rounding, calibration and depth error. Half a per
+cent of the distance to the camera is half a circumradius, whatever the length of an edge, and at a codec's coarse settings the
+contour of a dark die errs by that much."""
+
+
+def contact_reach_m(die: Die) -> float:
+    """How far from the table [m] the lowest vertex may seem to lie at a contact."""
+    return CONTACT_REACH * die.solid.circumradius
 
 
 def decimation_factor(track: Track, die: Die, rows: Rows | None = None) -> int:
@@ -166,11 +172,12 @@ def _residuals(observations: WeightedPoses, states: Array) -> Array:
 # --- change points -----------------------------------------------------------------------------------------------------
 
 
-def segment_flights(observations: WeightedPoses, die: Die) -> list[Rows]:
-    """Rows of each flight, in order: the track split wherever a second motion explains it better than one."""
+def segment_flights(observations: WeightedPoses, die: Die, reach_m: float) -> list[Rows]:
+    """Rows of each flight, in order: the track split wherever a second motion explains it better than one, and the lowest vertex
+    is within `reach_m` of the table."""
     n = len(observations.time_s)
     window = max(WINDOW, ceil(SHORTEST_WINDOW_S / float(np.median(np.diff(observations.time_s)))))
-    tried = np.flatnonzero(_near_table(observations, die) & (np.arange(n + 1) % (window // WINDOW) == 0))
+    tried = np.flatnonzero(_near_table(observations, die, reach_m) & (np.arange(n + 1) % (window // WINDOW) == 0))
     cuts, gains = np.array([0, n]), _gains(observations, np.array([0, n]), tried, window)
     while len(tried) and gains.max() > SPLIT_GAIN:
         best = tried[np.argmax(gains)]
@@ -180,13 +187,12 @@ def segment_flights(observations: WeightedPoses, die: Die) -> list[Rows]:
     return [np.arange(a, b) for a, b in itertools.pairwise(cuts) if b - a >= MIN_FRAMES]
 
 
-def _near_table(observations: WeightedPoses, die: Die) -> NDArray[np.bool_]:
+def _near_table(observations: WeightedPoses, die: Die, reach_m: float) -> NDArray[np.bool_]:
     """(n + 1,) where a cut before this row is possible: the lowest corner is near the table on an adjacent frame."""
     corners = matrix_from_quat(observations.quaternion) @ die.solid.vertices.T
     heights = corners[:, 2].min(1) + observations.position_m[:, 2]
     fall = np.abs(np.diff(heights, prepend=heights[0]))
-    edge = die.solid.edge_m
-    near = heights < TABLE_REACH * edge + 2.0 * fall
+    near = heights < reach_m + 2.0 * fall
     out = np.zeros(len(heights) + 1, bool)
     out[:-1] |= near
     out[1:] |= near

@@ -36,7 +36,7 @@ from .contacts import (
     resolve_contacts,
     vertex_impacts,
 )
-from .flight_segmentation import MIN_FRAMES, TABLE_REACH, decimation_factor, rows_without_outliers, segment_flights
+from .flight_segmentation import MIN_FRAMES, contact_reach_m, decimation_factor, rows_without_outliers, segment_flights
 from .rest import SupportedMotion, first_low_row, first_supported_row, on_table, resting_vertices
 from .shared_bias import (
     determined_count,
@@ -175,7 +175,7 @@ class MeasuredThrow:
         """Whether the flights, continued over some rows of the track, come near the table there."""
         p, q = self.throw_without_shared_errors.poses(self.frames.time_s[rows])
         heights = p[:, 2] + (matrix_from_quat(q) @ self.die.solid.vertices.T)[:, 2].min(axis=1)
-        return bool((heights < TABLE_REACH * self.die.solid.edge_m).any())
+        return bool((heights < contact_reach_m(self.die)).any())
 
 
 def measure_throw(track: Track, die: Die, camera: Camera | None = None, *, every: int = 1) -> Throw:
@@ -323,8 +323,9 @@ def _resolved_chain(
 ) -> ResolvedChain:
     """The chain of flights through frames, segmented on `some`, one in `every` of them, or followed from contact to contact: the
     one that explains the frames better. If that leaves a doubt, a chain segmented with wider sigmas competes as well."""
-    parts = segment_flights(some, die)
-    found = resolve_contacts(observations, join_flights(some, parts, die), die, priors)
+    reach_m = priors.contact_reach_m(observations, die)
+    parts = segment_flights(some, die, reach_m)
+    found = resolve_contacts(observations, join_flights(some, parts, die, reach_m), die, priors)
     followed = _followed(observations.rows(slice(None, None, every)), parts, die, priors)
     if followed is not None:
         other = resolve_contacts(observations, followed, die, priors)
@@ -332,7 +333,8 @@ def _resolved_chain(
     if _is_beyond_doubt(found, die) or len(found.chain.links) > MAX_LINKS_TWICE:
         return found
     wide = replace(some, whitener=some.whitener / WIDER_SIGMAS)
-    other = resolve_contacts(observations, join_flights(wide, segment_flights(wide, die), die), die, priors)
+    parts = segment_flights(wide, die, reach_m)
+    other = resolve_contacts(observations, join_flights(wide, parts, die, reach_m), die, priors)
     return other if explains_better(observations, other, found) else found
 
 

@@ -29,7 +29,7 @@ from ...model.rotations import continuous_sign, matrix_from_quat, quat_from_rotv
 from ...model.throw import Flight, State, Throw
 from ..flights import WeightedPoses, fit_flights, pose_jacobian, unpacked
 from ..track import LOST, Track
-from .flight_segmentation import TABLE_REACH
+from .flight_segmentation import contact_reach_m
 
 Array = NDArray[np.float64]
 
@@ -178,7 +178,7 @@ def _deviation_from_level(observations: WeightedPoses, die: Die) -> Array | None
         return None
     heights = lowest_heights_m(die, observations.position_m, observations.quaternion)
     level = float(np.median(heights[-MIN_LEVEL_FRAMES:]))
-    if abs(level) > TABLE_REACH * die.solid.edge_m:
+    if abs(level) > contact_reach_m(die):
         return None
     return np.asarray(np.abs(median_filter(heights, MEDIAN_FRAMES, mode="nearest") - level))
 
