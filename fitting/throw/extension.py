@@ -128,13 +128,15 @@ def best_attempt(trajectory: Trajectory, measured: Throw, free: FreeFlights) -> 
     return None
 
 
-def is_explained(trajectory: Trajectory, free: FreeFlights, misfit: float | None = None) -> bool:
-    """Whether no flight lies farther from the trajectory than `misfit` times what free flights leave; by default the limit that
-    was chosen for these."""
+def is_explained(
+    trajectory: Trajectory, free: FreeFlights, misfit: float | None = None, *, least_variance: float = 1.0
+) -> bool:
+    """Whether no flight lies farther from the trajectory than `misfit` times what free flights leave, taken to be no less than
+    `least_variance`; by default the limit that was chosen for these."""
     misfit = free.choices.misfit_limit if misfit is None else misfit
     for k, mean_square in mean_squares(trajectory).items():
         alone = free.flights[k]
-        allowed = max(1.0, free.variance)
+        allowed = max(least_variance, free.variance)
         if alone is not None and alone.frames > MIN_FRAMES:
             allowed = float(np.clip(alone.variance, allowed, _EXCUSED_VARIANCE * allowed))
         if mean_square > misfit**2 * allowed:
@@ -145,6 +147,17 @@ def is_explained(trajectory: Trajectory, free: FreeFlights, misfit: float | None
 def well_explained(trajectory: Trajectory, free: FreeFlights) -> bool:
     """Whether no other values or definitions of restitution need be tried for what the trajectory explains."""
     return is_explained(trajectory, free, _GOOD_MISFIT)
+
+
+def _explains(trajectory: Trajectory, free: FreeFlights, sequence: Vertices, measured: Sequence[Vertices]) -> bool:
+    """Whether a trajectory through a sequence of vertices explains its frames, given what was `measured` of it: one or nothing.
+
+    A wrong law comes near the frames by leaving a bounce out, or by adding one. A sequence that was not measured must therefore
+    explain its frames well, and one that contradicts what was measured as well as free flights do, however large the errors are
+    that frames state."""
+    if sequence in measured:
+        return is_explained(trajectory, free)
+    return is_explained(trajectory, free, _GOOD_MISFIT, least_variance=0.0 if measured else 1.0)
 
 
 def keeps_its_sequence(trajectory: Trajectory) -> bool:
@@ -191,15 +204,19 @@ def _extended(
     sufficient = free.observations.count(target) >= _SUFFICIENT_FRAMES
     for trajectory in beam:
         tried: set[Vertices] = set()
-        for group in candidates(trajectory, measured.impacts[trajectory.reached : target], target, free):
+        own: list[Trajectory] = []
+        impacts = measured.impacts[trajectory.reached : target]
+        known = measured_sequence(impacts)
+        for group in candidates(trajectory, impacts, target, free):
             for sequence in group:
                 if sequence not in tried:
                     tried.add(sequence)
                     longer = extend(trajectory, sequence, target, free)
-                    if longer is not None and is_explained(longer, free):
-                        found.append(longer)
-            if (sufficient and any(keeps_its_sequence(longer) for longer in found)) or (likeliest and group):
+                    if longer is not None and _explains(longer, free, sequence, known):
+                        own.append(longer)
+            if (sufficient and any(keeps_its_sequence(longer) for longer in own)) or (likeliest and group):
                 break
+        found += own
     return _best_of(found)
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import throws
 from intervals import assert_inside
 from throws import BRICK, random_release, roughly_measured, seen, thrown, true_throw
 
@@ -19,7 +20,8 @@ from diethrow.model.die import SHAPES
 from diethrow.model.die.die import make_die
 from diethrow.model.laws import LEVEL, CoulombImpact, Restitution, RestitutionBySpeed, SmoothImpact, Table
 from diethrow.model.rotations import matrix_from_quat
-from diethrow.model.throw.motion import Throw
+from diethrow.model.throw.motion import State, Throw
+from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.track import Track
 
 CUBE = make_die("cube", 0.016, 0.0048)
@@ -32,6 +34,27 @@ def test_friction_is_found_with_its_coefficient(seed: int) -> None:
     assert fit.bounces_fitted == 3
     assert_inside(fit, "chi", 0.6, 2e-3)
     assert_inside(fit, "mu", 0.2, 5e-3)
+
+
+@pytest.mark.parametrize("stated", [1.0, 10.0, 20.0])
+def test_friction_is_found_where_a_smooth_impact_comes_near_by_leaving_a_bounce_out(
+    stated: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With errors stated so large, a smooth law lies within twice of them through vertices 4, 11 and 5: χ was 0.286 then."""
+    die = make_die("icosahedron", 0.00903, 0.00187, corner_radius_m=4.95e-4)
+    place_m, velocity_m_s = np.array([0.00280693, -0.00048172, 0.03434723]), np.array([-0.08143, 0.01397, -0.95304])
+    orientation = np.array([-0.05676817, 0.63750768, 0.13280278, 0.75678581])
+    release = State(0.0, place_m, orientation, velocity_m_s, np.array([5.07944, -7.33552, 4.12558]))
+    throw = throw_die(die, release, CoulombImpact(0.317, 0.09, "newton"), until=Until(impacts=4)).throw
+    throw = replace(
+        throw, flights=(*throw.flights[:4], replace(throw.flights[4], end_s=throw.impacts[3].time_s + 0.02))
+    )
+    assert [impact.vertices for impact in throw.impacts] == [(4,), (7,), (11,), (5,)]
+    monkeypatch.setattr(throws, "FPS", 1114.0)
+    fit = fit_throw(seen(throw, np.random.default_rng(0), stated=stated), throw, die)
+    assert fit.vertices == (4, 7, 11, 5)
+    assert_inside(fit, "chi", 0.317, 5e-3)
+    assert_inside(fit, "mu", 0.09, 0.02)
 
 
 @pytest.mark.parametrize(
