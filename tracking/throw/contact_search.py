@@ -35,8 +35,8 @@ from ..flights import (
     flight_residuals,
     pose_jacobian,
 )
-from .contacts import HEIGHT_SIGMAS, LEAST_GAIN, Priors, can_be_impact, low_impacts, normal_velocity, usual_spacing_s
-from .flight_segmentation import MIN_FRAMES, SHORTEST_WINDOW_S
+from .contacts import LEAST_GAIN, Priors, can_be_impact, low_impacts, normal_velocity, usual_spacing_s
+from .flight_segmentation import MIN_FRAMES, SHORTEST_WINDOW_S, contact_reach_m
 from .rest import lowest_heights_m
 
 Array = NDArray[np.float64]
@@ -77,6 +77,8 @@ KNOWN_WEIGHT = 0.1
 """Weight (Tukey's biweight) above which a frame counts as lying on its flight."""
 RESUMED_FRAMES = 6
 """Fewest frames of a flight with which the motion is resumed behind an open link."""
+HEIGHT_SIGMAS = 3.0
+"""Standard deviations of the height of a flight within which the table may be."""
 SHORTEST_FLIGHT_FRAMES = 0.05
 """Least time between two contacts, in frames."""
 
@@ -93,11 +95,6 @@ class ContactSearch:
     """Rows of the flights of a segmentation."""
     errors: ErrorModel
     priors: Priors
-
-    @property
-    def reach_m(self) -> float:
-        """`Priors.contact_reach_m` of these frames."""
-        return self.priors.contact_reach_m(self.observations, self.die)
 
     def fit(self, starts: Sequence[State], links: Sequence[Link], rows: slice) -> FlightChain:
         """A chain fitted to some frames."""
@@ -146,7 +143,7 @@ class _Sequence:
     end: int
     """Row behind the last that belongs to it."""
     height_sigma_m: float = np.inf
-    """Standard deviation [m] of the height of the die there by its flight; infinite until it was fitted."""
+    """Standard deviation [m] of the height of the die there; infinite until it was fitted."""
 
     def fitted(self, starts: Sequence[State], links: Sequence[Link], end: int) -> FlightChain:
         """The last flights fitted to the frames before a row, with others behind them if given."""
@@ -165,8 +162,9 @@ class _Sequence:
         starts = [*self.starts[: self.settled], *(flight.start for flight in chain.flights)]
         links = [*self.links[: self.settled], *chain.links]
         last = self.search.observations.rows(slice(end - 1, end))
+        bias = float(np.linalg.norm(last.bias_jacobian[0, 2] * self.search.priors.shared_sigma))
         slope = pose_jacobian(chain.flights[-1], last.time_s)[0, 2]
-        height_sigma_m = float(np.sqrt(max(slope @ chain.flights[-1].covariance @ slope, 0.0)))
+        height_sigma_m = float(np.hypot(bias, np.sqrt(max(slope @ chain.flights[-1].covariance @ slope, 0.0))))
         settled = max(len(starts) - 2, 0)
         # A contact may have moved behind all frames: the flights before it are then fitted on.
         while settled and self._row_of(links[settled - 1]) >= end:
@@ -200,7 +198,7 @@ class _Sequence:
             chain = self.fitted([*self.starts, start], [*self.links, link], until)
             if link.impact is not None:
                 trials.append((LEAST_GAIN, chain))
-            elif can_be_impact(search.observations, chain, len(chain.links) - 1, search.die, search.reach_m):
+            elif can_be_impact(search.observations, chain, len(chain.links) - 1, search.die):
                 trials.append((LEAST_GAIN_OF_JUMP, chain))
         least_gain, best = min(trials, key=lambda trial: trial[1].cost + trial[0])
         behind = best.weights[self.end - until :]
@@ -243,7 +241,7 @@ class _Sequence:
             begin_s = max(begin_s, self.links[-1].time_s + SHORTEST_FLIGHT_FRAMES * spacing_s)
         around = np.linspace(begin_s, max(end_s, begin_s), TOUCH_SAMPLES)
         heights = lowest_heights_m(self.search.die, *flight.poses(around))
-        if heights.min() > self.search.reach_m + HEIGHT_SIGMAS * self.height_sigma_m:
+        if heights.min() > contact_reach_m(self.search.die) + HEIGHT_SIGMAS * self.height_sigma_m:
             return []
         lowest = np.flatnonzero((np.diff(heights[:-1]) < 0.0) & (np.diff(heights[1:]) >= 0.0)) + 1
         touches = [

@@ -88,8 +88,6 @@ CLEAR_SAMPLES = 24
 UNKNOWN_TABLE_M = 3e-3
 """Prior standard deviation [m] of the table's height if poses come without a camera, and with its depth error: half a per cent of
 the distance."""
-HEIGHT_SIGMAS = 3.0
-"""Standard errors of a height above the table up to which a contact may lie there."""
 SAME_INSTANT_FRAMES = 1e-3
 """Contacts nearer in time than this, in frames, are one: no instant is known as well."""
 INCONSISTENT_SIGMAS = 5.0
@@ -126,7 +124,7 @@ class _Part:
         return int(self.rows[0]), int(self.rows[-1])
 
 
-def join_flights(observations: WeightedPoses, parts: list[NDArray[np.int64]], die: Die, reach_m: float) -> FlightChain:
+def join_flights(observations: WeightedPoses, parts: list[NDArray[np.int64]], die: Die) -> FlightChain:
     """All flights fitted together, given the rows of each.
 
     Links that one instant cannot explain are open. Each link is judged on its own two flights, because one that is joined wrongly
@@ -145,7 +143,7 @@ def join_flights(observations: WeightedPoses, parts: list[NDArray[np.int64]], di
             ratios.append(judged[pair])
         opened = [ratio > OPEN_RATIO for ratio in ratios]
         chain = _fit_parts(observations, alone, opened)
-        impossible = [not o and not can_be_impact(observations, chain, k, die, reach_m) for k, o in enumerate(opened)]
+        impossible = [not o and not can_be_impact(observations, chain, k, die) for k, o in enumerate(opened)]
         faulty = [bad and ratio > FAULTY_RATIO for bad, ratio in zip(impossible, ratios, strict=True)]
         if any(faulty):
             # Several contacts taken for one need not look like an impact; the misfit of a single instant shows them.
@@ -154,7 +152,7 @@ def join_flights(observations: WeightedPoses, parts: list[NDArray[np.int64]], di
         jumps = {
             k: _jump(chain, k, die)
             for k, o in enumerate(opened)
-            if not o and not can_be_impact(observations, chain, k, die, reach_m)
+            if not o and not can_be_impact(observations, chain, k, die)
         }
         if not jumps:
             return chain
@@ -192,9 +190,9 @@ def _residual_ratio(observations: WeightedPoses, before: _Part, after: _Part) ->
     return float(np.mean(np.sort(beside)[:-1])) / max(usual, LEAST_USUAL_SIGMAS)
 
 
-def can_be_impact(observations: WeightedPoses, chain: FlightChain, k: int, die: Die, reach_m: float) -> bool:
-    """Whether a link is what a table does to a die: it pushes upwards, on a corner within `reach_m` of the table that came down
-    before and goes up after. Slow drifts of the pose, as marks and shading move over the edges, do none of this.
+def can_be_impact(observations: WeightedPoses, chain: FlightChain, k: int, die: Die) -> bool:
+    """Whether a link is what a table does to a die: it pushes upwards, on a corner near the table that came down before and goes
+    up after. Slow drifts of the pose, as marks and shading move over the edges, do none of this.
 
     A weak impact may do so within its errors only: the corner of a fast die accelerates at 1500 m/s², and within the uncertainty
     of the instant changes its speed by as much as a weak impact does. Then the jumps of velocity and spin together must be those
@@ -203,7 +201,7 @@ def can_be_impact(observations: WeightedPoses, chain: FlightChain, k: int, die: 
     a, b = chain.flights[k].at(t), chain.flights[k + 1].at(t)
     arms = die.solid.vertices @ a.rotation.T
     low = int(np.argmin(arms[:, 2]))
-    is_low = abs(arms[low, 2] + a.position_m[2]) <= reach_m
+    is_low = abs(arms[low, 2] + a.position_m[2]) <= contact_reach_m(die)
     if not is_low or b.velocity_m_s[2] <= a.velocity_m_s[2]:
         return False
     if normal_velocity(a, arms[low]) < 0.0 < normal_velocity(b, arms[low]):
@@ -270,14 +268,6 @@ class Priors:
 
     shared_sigma: Array
     table_sigma_m: float
-
-    def contact_reach_m(self, observations: WeightedPoses, die: Die) -> float:
-        """How far from the table [m] the lowest vertex may seem to lie at a contact: farther where errors that the frames share
-        may lift the die, as an unknown response does one that is small in the picture."""
-        if not len(self.shared_sigma):
-            return contact_reach_m(die)
-        lifted_m = np.linalg.norm(observations.bias_jacobian[:, 2] * self.shared_sigma, axis=1)
-        return contact_reach_m(die) + HEIGHT_SIGMAS * float(np.median(lifted_m))
 
     def fit(
         self,

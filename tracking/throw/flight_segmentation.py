@@ -172,12 +172,11 @@ def _residuals(observations: WeightedPoses, states: Array) -> Array:
 # --- change points -----------------------------------------------------------------------------------------------------
 
 
-def segment_flights(observations: WeightedPoses, die: Die, reach_m: float) -> list[Rows]:
-    """Rows of each flight, in order: the track split wherever a second motion explains it better than one, and the lowest vertex
-    is within `reach_m` of the table."""
+def segment_flights(observations: WeightedPoses, die: Die) -> list[Rows]:
+    """Rows of each flight, in order: the track split wherever a second motion explains it better than one."""
     n = len(observations.time_s)
     window = max(WINDOW, ceil(SHORTEST_WINDOW_S / float(np.median(np.diff(observations.time_s)))))
-    tried = np.flatnonzero(_near_table(observations, die, reach_m) & (np.arange(n + 1) % (window // WINDOW) == 0))
+    tried = np.flatnonzero(_near_table(observations, die) & (np.arange(n + 1) % (window // WINDOW) == 0))
     cuts, gains = np.array([0, n]), _gains(observations, np.array([0, n]), tried, window)
     while len(tried) and gains.max() > SPLIT_GAIN:
         best = tried[np.argmax(gains)]
@@ -187,12 +186,12 @@ def segment_flights(observations: WeightedPoses, die: Die, reach_m: float) -> li
     return [np.arange(a, b) for a, b in itertools.pairwise(cuts) if b - a >= MIN_FRAMES]
 
 
-def _near_table(observations: WeightedPoses, die: Die, reach_m: float) -> NDArray[np.bool_]:
+def _near_table(observations: WeightedPoses, die: Die) -> NDArray[np.bool_]:
     """(n + 1,) where a cut before this row is possible: the lowest corner is near the table on an adjacent frame."""
     corners = matrix_from_quat(observations.quaternion) @ die.solid.vertices.T
     heights = corners[:, 2].min(1) + observations.position_m[:, 2]
     fall = np.abs(np.diff(heights, prepend=heights[0]))
-    near = heights < reach_m + 2.0 * fall
+    near = heights < contact_reach_m(die) + 2.0 * fall
     out = np.zeros(len(heights) + 1, bool)
     out[:-1] |= near
     out[1:] |= near

@@ -323,9 +323,8 @@ def _resolved_chain(
 ) -> ResolvedChain:
     """The chain of flights through frames, segmented on `some`, one in `every` of them, or followed from contact to contact: the
     one that explains the frames better. If that leaves a doubt, a chain segmented with wider sigmas competes as well."""
-    reach_m = priors.contact_reach_m(observations, die)
-    parts = segment_flights(some, die, reach_m)
-    found = resolve_contacts(observations, join_flights(some, parts, die, reach_m), die, priors)
+    parts = segment_flights(some, die)
+    found = resolve_contacts(observations, join_flights(some, parts, die), die, priors)
     followed = _followed(observations.rows(slice(None, None, every)), parts, die, priors)
     if followed is not None:
         other = resolve_contacts(observations, followed, die, priors)
@@ -333,8 +332,7 @@ def _resolved_chain(
     if _is_beyond_doubt(found, die) or len(found.chain.links) > MAX_LINKS_TWICE:
         return found
     wide = replace(some, whitener=some.whitener / WIDER_SIGMAS)
-    parts = segment_flights(wide, die, reach_m)
-    other = resolve_contacts(observations, join_flights(wide, parts, die, reach_m), die, priors)
+    other = resolve_contacts(observations, join_flights(wide, segment_flights(wide, die), die), die, priors)
     return other if explains_better(observations, other, found) else found
 
 

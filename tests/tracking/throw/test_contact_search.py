@@ -17,7 +17,7 @@ from diethrow.tracking.flights import FlightChain, WeightedPoses
 from diethrow.tracking.throw import measure_throw
 from diethrow.tracking.throw.contact_search import ContactSearch, _first_off, _Sequence, follow_contacts, white_errors
 from diethrow.tracking.throw.contacts import Priors
-from diethrow.tracking.throw.flight_segmentation import contact_reach_m, segment_flights
+from diethrow.tracking.throw.flight_segmentation import segment_flights
 from diethrow.tracking.track import Track
 
 Array = NDArray[np.float64]
@@ -29,7 +29,7 @@ LONE_FRAMES = 3.0
 
 
 def followed(die: Die, frames: WeightedPoses) -> FlightChain:
-    parts = segment_flights(frames, die, contact_reach_m(die))
+    parts = segment_flights(frames, die)
     impacts = [impact_at(die, vertex) for vertex in range(len(die.solid.vertices))]
     return follow_contacts(ContactSearch(frames, die, impacts, parts, white_errors(frames), Priors(np.zeros(0), 3e-5)))
 
@@ -141,12 +141,7 @@ def test_flights_before_a_contact_that_moved_behind_all_frames_are_fitted_on() -
     frames = weighted_poses(seen(throw, rng))
     impacts = [impact_at(CUBE, vertex) for vertex in range(8)]
     search = ContactSearch(
-        frames,
-        CUBE,
-        impacts,
-        segment_flights(frames, CUBE, contact_reach_m(CUBE)),
-        white_errors(frames),
-        Priors(np.zeros(0), 3e-5),
+        frames, CUBE, impacts, segment_flights(frames, CUBE), white_errors(frames), Priors(np.zeros(0), 3e-5)
     )
     chain = followed(CUBE, frames)
     assert len(chain.links) == 2

@@ -571,8 +571,8 @@ def test_a_wrong_first_segmentation_is_repeated_with_wider_sigmas(monkeypatch: p
     track = seen(throw, rng)
     plain, segmentations = measure_throw(track, CUBE), []
 
-    def wrong_at_first(some: WeightedPoses, die: Die, reach_m: float) -> list[NDArray[np.int64]]:
-        segmentations.append(segment_flights(some, die, reach_m))
+    def wrong_at_first(some: WeightedPoses, die: Die) -> list[NDArray[np.int64]]:
+        segmentations.append(segment_flights(some, die))
         return segmentations[-1] if len(segmentations) > 1 else [np.arange(len(some))]
 
     monkeypatch.setattr(measurement, "segment_flights", wrong_at_first)
