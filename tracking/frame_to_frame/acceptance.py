@@ -9,8 +9,8 @@ from __future__ import annotations
 from math import radians
 
 MIN_SUPPORT = 0.45
-"""Least share of the contour with a clear step, of a die wholly in view. Random poses have 0.1 to 0.3; an edge before a table of
-the same grey has none."""
+"""Least support (`Pose.support`) of a die wholly in view. Random poses have 0.1 to 0.3; an edge before a table of the same grey
+has none."""
 ON_PATH_SUPPORT = 0.3
 """The same of a pose that lies where its flight puts it: more than random poses have. A rounded die with a face as bright as the
 table has a clear step on a third of its contour."""

@@ -426,7 +426,7 @@ class FrameTracker:
         fastest = FASTEST_FACTOR_BACKWARDS if self.backwards else FASTEST_FACTOR
         if moved > fastest * speed * abs(dt) + far_m:
             return False
-        is_clear = pose.support > CLEAR_SUPPORT
+        is_clear = pose.clear_share > CLEAR_SUPPORT
         if not high:
             whole = self.view.shows_surface(pose.position_m)
             allowed = SURFACE_EXCESS_SHARE * self.usual_cost if whole else SMALL_EXCESS_COST
@@ -488,7 +488,7 @@ class FrameTracker:
         self._candidates = sorted(found, key=lambda pose: pose.cost)[:MOST_CANDIDATES]
         best = self._candidates[0] if found else None
         others = [pose for pose in self._candidates[1:] if best and self._leaves_open(best, pose)]
-        clear = [pose for pose in self._candidates[:1] if pose.support > CLEAR_SUPPORT and pose.cost < enough]
+        clear = [pose for pose in self._candidates[:1] if pose.clear_share > CLEAR_SUPPORT and pose.cost < enough]
         if others or not clear:
             is_followed = bool(found) and len(self._surprising) < MIN_POSES_OF_FLIGHT - 1
             self._next_search = self.misses + (1 if is_followed else self._search_wait)

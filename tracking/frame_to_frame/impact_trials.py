@@ -152,7 +152,7 @@ def costs_on_one_window(view: View, image: NDArray[np.float32], poses: list[Pose
     x1, y1 = np.clip(px.max(0) + 1.0, (x0 + 2, y0 + 2), size).astype(int).tolist()
     first = image[0] if image.ndim == 3 else image
     costs, _ = region_costs(view, first, (x0, y0, x1, y1), places, turns, WINDOW_SAMPLES)
-    return costs + SUPPORT_COST * (1.0 - np.array([pose.support for pose in poses]))
+    return costs + SUPPORT_COST * (1.0 - np.array([pose.clear_share for pose in poses]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ from ..picture import (
     BACKGROUND_SHARE,
     CLEAR_PX,
     CONTOUR_PX,
+    EXPECTED_CLEAR_PX,
     NARROW_WINDOW_PX,
     OCCLUDED_SHARE,
     WINDOW_PX,
@@ -301,9 +302,10 @@ def track_frames(
         turned = sqrt(moved[0] ** 2 + moved[1] ** 2 + moved[2] ** 2)
         gone = seen_distance_m(rig, p, p - ahead[:3], reach)
         usual = clock[1] if clock[2] > 0.0 else cost
-        contour_px, clear_px = statistics[CONTOUR_PX], statistics[CLEAR_PX]
-        seen = contour_px >= LEAST_CONTOUR_PX and clear_px > ON_PATH_SUPPORT * contour_px and equations.H[0, 0] > 0.0
-        confirmed = seen and clear_px > MIN_SUPPORT * contour_px
+        clear_px, expected_px = statistics[CLEAR_PX], statistics[EXPECTED_CLEAR_PX]
+        is_visible = statistics[CONTOUR_PX] >= LEAST_CONTOUR_PX and equations.H[0, 0] > 0.0
+        seen = is_visible and clear_px > ON_PATH_SUPPORT * expected_px
+        confirmed = seen and clear_px > MIN_SUPPORT * expected_px
         # On the predicted path a higher cost only means that the light has changed. A direction that the pixels leave
         # open, as the distance of a face seen alone, may be far off there; and high above the table no impact has occurred.
         allowed = ACCEPTED_EXCESS_COST
@@ -316,7 +318,7 @@ def track_frames(
                 return k
             if off < ON_PATH_CHI2:
                 confirmed = True
-                allowed = ANY_COST if clear_px > WELL_SEEN * contour_px else MAX_EXCESS_COST
+                allowed = ANY_COST if clear_px > WELL_SEEN * statistics[CONTOUR_PX] else MAX_EXCESS_COST
                 far_m = FIRST_POSES_REACH * reach
         if not (confirmed and turned < far_rad and gone < far_m and cost < usual + allowed):
             return k

@@ -16,6 +16,7 @@ from ..placed_die import BLUR as BLUR
 from ..placed_die import CLEAR_PX as CLEAR_PX
 from ..placed_die import CONTOUR as CONTOUR
 from ..placed_die import CONTOUR_PX as CONTOUR_PX
+from ..placed_die import EXPECTED_CLEAR_PX as EXPECTED_CLEAR_PX
 from ..placed_die import LAMP_PRIOR as LAMP_PRIOR
 from ..placed_die import LEAST_DEPTH_M as LEAST_DEPTH_M
 from ..placed_die import LIGHT_TERMS as LIGHT_TERMS

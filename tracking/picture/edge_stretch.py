@@ -36,6 +36,7 @@ from ..placed_die import (
     BLUR,
     CLEAR_PX,
     CONTOUR_PX,
+    EXPECTED_CLEAR_PX,
     FACE_EDGES,
     LINE_LAGS,
     LINE_PAIRS,
@@ -147,6 +148,7 @@ def add_stretch(
     stats[STRETCHES] += 1.0
     if not stretch.interior:
         stats[CONTOUR_PX] += stretch.length_px
+        stats[EXPECTED_CLEAR_PX] += stretch.length_px
     if n < FEWEST_PIXELS:
         return
     phi, slope, spread, grey, w = work.basis, work.basis_slope, work.basis_blur, work.grey, work.weight

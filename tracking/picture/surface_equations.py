@@ -22,7 +22,7 @@ that has (1 - ρ_x)(1 - ρ_y)/((1 + ρ_x)(1 + ρ_y)) times the pixels, and the e
 
 from __future__ import annotations
 
-from math import floor, isnan, log, sqrt
+from math import erf, floor, isnan, log, sqrt
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,7 @@ from ..placed_die import (
     CLEAR_PX,
     CONTOUR,
     CONTOUR_PX,
+    EXPECTED_CLEAR_PX,
     LEAST_ROUNDED_PX,
     LIGHT_TERMS,
     LOG_NOISE,
@@ -109,6 +110,9 @@ STEP_DEPTHS = 3
 """Depths, evenly spaced up to that distance, at which it is looked for within the contour."""
 CLEAR_PART = 0.3
 """Share of the predicted step that must be seen for it to be clear."""
+LEAST_CHANCE = 0.5
+"""Least count of a pixel of the contour that may be clear. Others count with their chance to be: on a table as bright as a face a
+true pose shows a third of its contour. With less, the few clear pixels of a pose on the bare table weigh too much."""
 LEAST_NOISE_GREY = 0.5
 """Least noise that these weights assume."""
 WITHIN_DIE_PX = 2.0
@@ -345,8 +349,10 @@ def _add_pixels(
                 stats[ROBUST_COST] += 1.0 - q * q * q
                 stats[LOG_NOISE] += 0.5 * log(v) if settings.response == 0.0 else 0.0
             if abs(grid.beyond[i, j, 0]) < 0.5:
+                is_clear, chance = _is_clear(image, background, corner, grid, (i, j), shades[k], limits)
                 stats[CONTOUR_PX] += 1.0
-                if _is_clear(image, background, corner, grid, (i, j), shades[k], limits):
+                stats[EXPECTED_CLEAR_PX] += max(chance, LEAST_CHANCE)
+                if is_clear:
                     stats[CLEAR_PX] += 1.0
             if part == NOTHING or not w > 0.0:
                 continue
@@ -524,16 +530,16 @@ def _independent_share(grid: SurfaceGrid, residual: Any, noise: Any, faces: int)
 @inner_no_memory
 def _is_clear(
     image: Any, background: Any, corner: Any, grid: SurfaceGrid, pixel: Any, shade: float, limits: Any
-) -> bool:
-    """Whether the picture has the predicted step across the contour at a pixel on it: where that is largest, for a bevel may turn
-    dark only within a pixel of its limb."""
+) -> tuple[bool, float]:
+    """Whether the picture has the predicted step across the contour at a pixel on it, and the chance of that among the noise if
+    the prediction is right. It is looked for where it is largest: a bevel may turn dark only within a pixel of its limb."""
     (i, j), (blur_px, noise) = pixel, limits
     away = STEP_PX + blur_px
     nx, ny, d = grid.beyond[i, j, 1], grid.beyond[i, j, 2], grid.beyond[i, j, 0]
     rows, columns = grid.part.shape
     i2, j2 = floor(i - (d - away) * ny + 0.5), floor(j - (d - away) * nx + 0.5)
     if min(i2, j2) < 0 or i2 >= rows or j2 >= columns:
-        return False
+        return False, 1.0
     seen, step = 0.0, 0.0
     seen2, expected2 = _unlike_background(image, background, corner, grid, (i2, j2), shade)
     for k in range(STEP_DEPTHS):
@@ -544,7 +550,10 @@ def _is_clear(
         seen1, expected1 = _unlike_background(image, background, corner, grid, (i1, j1), shade)
         if abs(expected1 - expected2) > abs(step):
             seen, step = seen1 - seen2, expected1 - expected2
-    return seen * step > 0.0 and abs(seen) > max(CLEAR_SIGMAS * noise, CLEAR_PART * abs(step))
+    least = max(CLEAR_SIGMAS * noise, CLEAR_PART * abs(step))
+    # The step is the difference of two pixels, with √2 times the noise of one.
+    chance = 0.5 + 0.5 * erf((abs(step) - least) / (2.0 * noise))
+    return seen * step > 0.0 and abs(seen) > least, chance
 
 
 @inner_no_memory

@@ -12,6 +12,7 @@ from .kernel_types import BLUR as BLUR
 from .kernel_types import CLEAR_PX as CLEAR_PX
 from .kernel_types import CONTOUR as CONTOUR
 from .kernel_types import CONTOUR_PX as CONTOUR_PX
+from .kernel_types import EXPECTED_CLEAR_PX as EXPECTED_CLEAR_PX
 from .kernel_types import LIGHT_TERMS as LIGHT_TERMS
 from .kernel_types import LINE_LAGS as LINE_LAGS
 from .kernel_types import LINE_PAIRS as LINE_PAIRS

@@ -35,7 +35,7 @@ BLUR = 7
 RESPONSE = 8
 """Column of the response, grey = light ** exponent: by how much its exponent is above that of the clip's levels."""
 
-STATISTICS = 16
+STATISTICS = 17
 """Numbers that the kernels count beside the normal equations; their places follow."""
 ROBUST_COST = 0
 """Sum over edge pixels of the truncated cost, 0 to 1 each."""
@@ -65,6 +65,9 @@ LINE_PAIRS = 10
 """Number of pairs of lines at each of these distances."""
 LINE_PRODUCTS = 13
 """Sums over these pairs of the products of their ratios."""
+EXPECTED_CLEAR_PX = 16
+"""Length [px] of the visible contour that shows a clear step in the mean if the pose is right: of a well-rounded die on a table
+nearly as bright, less than all. Of edges, whose brightness is not predicted, it is all."""
 
 
 class Shape(NamedTuple):

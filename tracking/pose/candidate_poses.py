@@ -71,7 +71,7 @@ JUDGED_PIXELS = 4 * SEARCH_PIXELS
 LEAST_DIFFERING_SHARE = 0.4
 """A refined trial of whose pixels fewer differ from the background shows no die."""
 LEAST_SUPPORT = 0.5
-"""Share of its contour with a clear step below which a refined trial is dropped."""
+"""`Pose.support` below which a refined trial is dropped."""
 PLAIN_SUPPORT = 0.8
 """Share of the contour with a clear step of a candidate that ends the search. If less of it is clear, the region was
 that of some faces."""
@@ -133,7 +133,7 @@ def pose_candidates(view: View, image: Image, rate_px_s: Array = STILL) -> list[
     found: list[tuple[float, Pose]] = []
     for blobs in _die_regions(view, images[0]):
         found = sorted([*found, *_candidates_in_regions(view, images, blobs, rate_px_s)], key=lambda pair: pair[0])
-        if any(pose.support > PLAIN_SUPPORT for _, pose in found):
+        if any(pose.clear_share > PLAIN_SUPPORT for _, pose in found):
             break
     return found
 
@@ -339,7 +339,7 @@ def _search(view: View, images: Image, blob: Blob, box: Box) -> list[tuple[float
     places, turns = np.array([p.position_m for p in poses]), np.array([p.rotation for p in poses])
     costs, differs = _region_costs(view, images[0], box, places, turns, JUDGED_PIXELS)
     return [
-        (float(cost) + SUPPORT_COST * (1.0 - pose.support) + UNEXPLAINED_COST * pose.unexplained, pose)
+        (float(cost) + SUPPORT_COST * (1.0 - pose.clear_share) + UNEXPLAINED_COST * pose.unexplained, pose)
         for cost, share, pose in zip(costs, differs, poses, strict=True)
         if share > LEAST_DIFFERING_SHARE and pose.support > LEAST_SUPPORT
     ]

@@ -15,6 +15,7 @@ from ..footage import FrameSource
 from ..picture import (
     CLEAR_PX,
     CONTOUR_PX,
+    EXPECTED_CLEAR_PX,
     PARAMETERS,
     STATISTICS,
     PoseRows,
@@ -82,9 +83,14 @@ class ClipPoses:
         return int(self.interpolated().known.sum())
 
     @property
-    def support(self) -> Array:
+    def clear_share(self) -> Array:
         """(n,) share of the contour that shows a clear step."""
         return np.asarray(self.statistics[:, CLEAR_PX] / np.maximum(self.statistics[:, CONTOUR_PX], 1e-9))
+
+    @property
+    def support(self) -> Array:
+        """(n,) length of contour that shows a clear step, over that which does in the mean if the pose is right."""
+        return np.asarray(self.statistics[:, CLEAR_PX] / np.maximum(self.statistics[:, EXPECTED_CLEAR_PX], 1e-9))
 
     @property
     def cost_with_edge_noise(self) -> Array:

@@ -11,6 +11,7 @@ from ..picture import (
     CLEAR_PX,
     CONTOUR,
     CONTOUR_PX,
+    EXPECTED_CLEAR_PX,
     LOG_NOISE,
     PIXELS,
     RESPONSE,
@@ -59,6 +60,8 @@ class Pose:
     unexplained: float
     """Mean truncated cost of an edge pixel, 0 to 1: the share that the edge model does not explain."""
     support: float
+    """Length of contour that shows a clear step, over that which does in the mean if the pose is right; about 1 then."""
+    clear_share: float
     """Share of the visible contour that shows a clear step, 0 to 1."""
     contour_px: float
     """Length of visible contour inside the image."""
@@ -183,7 +186,8 @@ def _pose_from(view: View, position_m: Array, rotation: Array, cost: float, equa
         H[:6, :6].copy(),
         bias_jacobians(view, H[None], position_m[None])[0],
         unexplained=float(statistics[ROBUST_COST] / pixels),
-        support=float(statistics[CLEAR_PX] / max(contour_px, 1e-9)),
+        support=float(statistics[CLEAR_PX] / max(statistics[EXPECTED_CLEAR_PX], 1e-9)),
+        clear_share=float(statistics[CLEAR_PX] / max(contour_px, 1e-9)),
         contour_px=float(contour_px),
         log_noise=float(statistics[LOG_NOISE] / pixels),
         cost=float(cost),

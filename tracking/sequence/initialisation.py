@@ -71,11 +71,11 @@ SMALL_SHARE = 0.6
 nearer."""
 SAMPLED_FRAMES = 12
 """Frames from which the usual area is determined."""
-CERTAIN_SUPPORT = 0.85
+CERTAIN_SHARE = 0.85
 """Share of the contour with a clear step, over all frames and with none missed, above which a hypothesis is accepted at once."""
 MIN_SUPPORT = 0.6
-"""Least share of the contour with a clear step of any hypothesis. It suffices where more frames than those of the second stage
-show an even motion: a face as bright as the table has no step on any of them."""
+"""Least mean of `Pose.support` of any hypothesis. A clear share as large suffices where more frames than those of the second
+stage show an even motion: a face as bright as the table has no step on any of them."""
 EVEN = 0.5
 """Unevenness below which a hypothesis is accepted at once."""
 UNEVEN = 1.0
@@ -157,17 +157,17 @@ class Hypothesis:
     """A tracker with the motion before that row."""
 
     @property
-    def support(self) -> float:
+    def clear_share(self) -> float:
         """Share of the contour with a clear step, over all frames."""
-        return float(self.poses.support[self.poses.known].mean())
+        return float(self.poses.clear_share[self.poses.known].mean())
 
     @property
     def is_certain(self) -> bool:
         """Whether nothing speaks against it, so that no other frame is needed."""
         known = np.flatnonzero(self.poses.known)
         has_no_gap = len(known) == known[-1] - known[0] + 1
-        support = CERTAIN_SUPPORT if self.score.until <= FULL_STAGE else MIN_SUPPORT
-        return self.competitors == 0 and self.support > support and has_no_gap and self.score.unevenness < EVEN
+        least = CERTAIN_SHARE if self.score.until <= FULL_STAGE else MIN_SUPPORT
+        return self.competitors == 0 and self.clear_share > least and has_no_gap and self.score.unevenness < EVEN
 
 
 Candidate = tuple[int, Hypothesis]
@@ -197,7 +197,7 @@ def find_initial_pose(
         return _on_clip(found[1], source, found[0], unused)
     if not uncertain:
         return None
-    k, chosen = min(uncertain, key=lambda pair: (pair[1].competitors, -pair[1].support))
+    k, chosen = min(uncertain, key=lambda pair: (pair[1].competitors, -pair[1].clear_share))
     return _on_clip(chosen, source, k, unused)
 
 
@@ -221,7 +221,7 @@ def _search(
     uncertain: list[Candidate] = []
     for k in islice(_candidate_frames(view, source, unused, report), MAX_FIRST_FRAMES):
         best = best_hypothesis(view, source, k, unused, beside)
-        if best is None or best.support < MIN_SUPPORT:
+        if best is None or best.poses.support[best.poses.known].mean() < MIN_SUPPORT:
             continue
         if best.is_certain:
             return (k, best), uncertain

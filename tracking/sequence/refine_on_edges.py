@@ -28,6 +28,7 @@ from ..frame_to_frame import (
 from ..picture import (
     CLEAR_PX,
     CONTOUR_PX,
+    EXPECTED_CLEAR_PX,
     LINES,
     PARAMETERS,
     SHADED_STRETCH_PX,
@@ -257,7 +258,7 @@ class _Attempt:
         distance = _seen_distances_m(self._view, self.position_m, self._start.position_m[self.rows])
         angle = angle_between(self.rotation, self._start.rotation[self.rows])
         contour_px = self._found.statistics[:, CONTOUR_PX]
-        support = self._found.statistics[:, CLEAR_PX] / np.maximum(contour_px, 1e-9)
+        support = self._found.statistics[:, CLEAR_PX] / np.maximum(self._found.statistics[:, EXPECTED_CLEAR_PX], 1e-9)
         whole = shares_in_view(self._view, self.position_m, self.rotation) == 1.0
         sigma_rad = np.sqrt(np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2))
         is_near = (distance < MAX_SHIFT_REACH * self._view.reach_m) & (angle < MAX_TURN_RAD)

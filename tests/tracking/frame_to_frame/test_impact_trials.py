@@ -77,7 +77,7 @@ def single_pose(state: State, cost: float) -> Pose:
     """A pose that one picture shows, as far as the motion needs it."""
     H, statistics = np.zeros((PARAMETERS, PARAMETERS)), np.zeros(STATISTICS)
     sure, unbiased = 1e10 * np.eye(6), np.zeros((6, 1))
-    return Pose(state.position_m, state.rotation, sure, unbiased, 0.0, 1.0, 100.0, 0.0, cost, H, statistics)
+    return Pose(state.position_m, state.rotation, sure, unbiased, 0.0, 1.0, 1.0, 100.0, 0.0, cost, H, statistics)
 
 
 def fast_flight(seed: int) -> Flight:
