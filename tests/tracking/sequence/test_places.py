@@ -24,7 +24,7 @@ def pose_at(position_m: np.ndarray, known: np.ndarray) -> Pose:
     H = np.zeros((PARAMETERS, PARAMETERS))
     H[:6, :6] = known
     return Pose(
-        position_m, np.eye(3), known, np.zeros((6, 1)), 0.1, 0.9, 100.0, 0.0, 1.0, H, np.zeros(STATISTICS)
+        position_m, np.eye(3), known, np.zeros((6, 1)), 0.1, 0.9, 0.9, 100.0, 0.0, 1.0, H, np.zeros(STATISTICS)
     )  # fmt: skip
 
 
