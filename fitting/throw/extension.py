@@ -152,12 +152,13 @@ def well_explained(trajectory: Trajectory, free: FreeFlights) -> bool:
 def _explains(trajectory: Trajectory, free: FreeFlights, sequence: Vertices, measured: Sequence[Vertices]) -> bool:
     """Whether a trajectory through a sequence of vertices explains its frames, given what was `measured` of it: one or nothing.
 
-    A wrong law comes near the frames by leaving a bounce out, or by adding one. A sequence that was not measured must therefore
-    explain its frames well, and one that contradicts what was measured as well as free flights do, however large the errors are
-    that frames state."""
+    A wrong law comes near the frames by other vertices. A sequence that was not measured must therefore explain its frames well,
+    and one that leaves a measured bounce out as well as free flights do, however large the errors are that frames state. A bounce
+    more may have lain between two frames."""
     if sequence in measured:
         return is_explained(trajectory, free)
-    return is_explained(trajectory, free, _GOOD_MISFIT, least_variance=0.0 if measured else 1.0)
+    leaves_out = any(len(sequence) < len(other) for other in measured)
+    return is_explained(trajectory, free, _GOOD_MISFIT, least_variance=0.0 if leaves_out else 1.0)
 
 
 def keeps_its_sequence(trajectory: Trajectory) -> bool:

@@ -13,7 +13,7 @@ from diethrow.model.die.solid import SHAPES
 from diethrow.tracking.throw.measurement import measure_throw
 
 CIRCUMRADIUS_M = 0.01
-SEEN_ABOVE = 0.45
+SEEN_ABOVE = 0.5
 """Height above its own, in circumradii, at which a die is seen whose distance is half a per cent wrong."""
 FRAMES_BEHIND = 10
 THROWS = 3
