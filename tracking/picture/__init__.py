@@ -82,9 +82,11 @@ from .noise_correlation import independent_share as independent_share
 from .occluders import OCCLUDED_SHARE as OCCLUDED_SHARE
 from .occluders import OccluderMask as OccluderMask
 from .occluders import update_occluder_mask as update_occluder_mask
+from .pose_costs import clear_shares as clear_shares
 from .pose_costs import costs_with_edge_noise as costs_with_edge_noise
 from .pose_costs import mirror_region_costs as mirror_region_costs
 from .pose_costs import region_costs as region_costs
+from .pose_costs import supports as supports
 from .region_cost import SUPPORT_COST as SUPPORT_COST
 from .region_cost import UNEXPLAINED_COST as UNEXPLAINED_COST
 from .region_cost import clear_steps_cost as clear_steps_cost

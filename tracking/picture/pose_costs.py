@@ -29,7 +29,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..placed_die import LOG_NOISE, PIXELS
+from ..placed_die import CLEAR_PX, CONTOUR_PX, EXPECTED_CLEAR_PX, LOG_NOISE, PIXELS
 from .region_cost import SHADOW_SQUARED_SIGMAS_CUT, SQUARED_SIGMAS_CUT, region_costs_in_box
 from .view import MIRRORED, Array, Image, View
 
@@ -37,6 +37,8 @@ Box = tuple[int, int, int, int]
 
 SUBPIXEL_BITS = 4
 """Fractional binary digits of the outlines that are filled."""
+LEAST_PX = 1e-9
+"""Length of contour that counts as none."""
 FAR_PX = 1e4
 """A corner farther away than this is out of every picture."""
 
@@ -59,6 +61,16 @@ def costs_with_edge_noise(cost: Array, statistics: Array) -> Array:
     """(n,) pose costs (n,) and the mean logarithm of the noise [grey] that the edges leave, from the statistics (n,
     STATISTICS)."""
     return np.asarray(cost + statistics[:, LOG_NOISE] / np.maximum(statistics[:, PIXELS], 1.0))
+
+
+def clear_shares(statistics: Array) -> Array:
+    """(...) share of the visible contour that shows a clear step, from statistics (..., STATISTICS); 0 without a contour."""
+    return np.asarray(statistics[..., CLEAR_PX] / np.maximum(statistics[..., CONTOUR_PX], LEAST_PX))
+
+
+def supports(statistics: Array) -> Array:
+    """(...) length of the contour that shows a clear step, over that which does in the mean if the pose is right."""
+    return np.asarray(statistics[..., CLEAR_PX] / np.maximum(statistics[..., EXPECTED_CLEAR_PX], LEAST_PX))
 
 
 def mirror_region_costs(

@@ -13,15 +13,14 @@ from ...model.rotations import continuous_sign, matrix_from_quat, quat_from_matr
 from ...model.throw import turning_of
 from ..footage import FrameSource
 from ..picture import (
-    CLEAR_PX,
-    CONTOUR_PX,
-    EXPECTED_CLEAR_PX,
     PARAMETERS,
     STATISTICS,
     PoseRows,
     View,
+    clear_shares,
     costs_with_edge_noise,
     shares_in_view,
+    supports,
 )
 from ..throw import ENOUGH_FRAMES
 from ..track import LOST, TRACKED, Track
@@ -85,12 +84,12 @@ class ClipPoses:
     @property
     def clear_share(self) -> Array:
         """(n,) share of the contour that shows a clear step."""
-        return np.asarray(self.statistics[:, CLEAR_PX] / np.maximum(self.statistics[:, CONTOUR_PX], 1e-9))
+        return clear_shares(self.statistics)
 
     @property
     def support(self) -> Array:
         """(n,) length of contour that shows a clear step, over that which does in the mean if the pose is right."""
-        return np.asarray(self.statistics[:, CLEAR_PX] / np.maximum(self.statistics[:, EXPECTED_CLEAR_PX], 1e-9))
+        return supports(self.statistics)
 
     @property
     def cost_with_edge_noise(self) -> Array:

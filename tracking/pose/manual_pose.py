@@ -45,8 +45,7 @@ PRIOR_M = 2e-2
 PRIOR_RAD = 0.3
 """The same of the rotation."""
 LEAST_SUPPORT = 0.5
-"""Share of the contour that must show a clear step for the picture to confirm the pose; random poses have 0.1 to
-0.3."""
+"""`Pose.support` from which the picture confirms the pose; random poses have 0.1 to 0.3 on edges."""
 LEAST_HEIGHT = 0.5
 """Height of the centre above the table, in inscribed radii, below which a pose from clicks is dropped. A click moves
 the depth by a share of the die's size; half an inscribed radius is more than that."""
@@ -94,8 +93,9 @@ def manual_initial_pose(view: View, image: Image, start: ManualInitialisation) -
     if not confirmed:
         best = max((pose.support for pose in found), default=0.0)
         raise InputError(
-            f"start.frame = {start.frame}: the picture shows {100 * best:.0f} % of the contour of a {view.die.solid.name} "
-            f"there, wanted at least {100 * LEAST_SUPPORT:.0f} %; check the frame's number, and the pose or clicks"
+            f"start.frame = {start.frame}: the picture shows {100 * best:.0f} % of what should be clear of the contour of a "
+            f"{view.die.solid.name} there, wanted at least {100 * LEAST_SUPPORT:.0f} %; check the frame's number, and the pose or "
+            "clicks"
         )
     pose = min(confirmed, key=lambda each: each.cost)
     return _labelled_as_given(view, pose, start)

@@ -8,10 +8,8 @@ import numpy as np
 
 from ..picture import (
     BLUR,
-    CLEAR_PX,
     CONTOUR,
     CONTOUR_PX,
-    EXPECTED_CLEAR_PX,
     LOG_NOISE,
     PIXELS,
     RESPONSE,
@@ -22,9 +20,11 @@ from ..picture import (
     PoseState,
     View,
     Workspace,
+    clear_shares,
     costs_with_edge_noise,
     new_equations,
     new_workspace,
+    supports,
     whole_frame_windows,
 )
 from .refine_kernels import isotropic_prior, loose_prior, refine_and_score
@@ -179,16 +179,16 @@ def refine_pose(
 def _pose_from(view: View, position_m: Array, rotation: Array, cost: float, equations: NormalEquations) -> Pose:
     """A pose from what the kernels return."""
     H, statistics = equations.H, equations.statistics
-    pixels, contour_px = max(statistics[PIXELS], 1.0), statistics[CONTOUR_PX]
+    pixels = max(statistics[PIXELS], 1.0)
     return Pose(
         position_m.copy(),
         rotation.copy(),
         H[:6, :6].copy(),
         bias_jacobians(view, H[None], position_m[None])[0],
         unexplained=float(statistics[ROBUST_COST] / pixels),
-        support=float(statistics[CLEAR_PX] / max(statistics[EXPECTED_CLEAR_PX], 1e-9)),
-        clear_share=float(statistics[CLEAR_PX] / max(contour_px, 1e-9)),
-        contour_px=float(contour_px),
+        support=float(supports(statistics)),
+        clear_share=float(clear_shares(statistics)),
+        contour_px=float(statistics[CONTOUR_PX]),
         log_noise=float(statistics[LOG_NOISE] / pixels),
         cost=float(cost),
         H=H.copy(),

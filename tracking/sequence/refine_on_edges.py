@@ -26,9 +26,7 @@ from ..frame_to_frame import (
     ON_PATH_SUPPORT,
 )
 from ..picture import (
-    CLEAR_PX,
     CONTOUR_PX,
-    EXPECTED_CLEAR_PX,
     LINES,
     PARAMETERS,
     SHADED_STRETCH_PX,
@@ -41,6 +39,7 @@ from ..picture import (
     independent_share,
     refinement_boxes,
     shares_in_view,
+    supports,
 )
 from ..pose import LEAST_CONTOUR_PX, ClipPoses, covariances, refine_frames, seen_distance_m, weak_priors
 from ..throw import contact_reach_m, lowest_heights_m
@@ -258,13 +257,12 @@ class _Attempt:
         distance = _seen_distances_m(self._view, self.position_m, self._start.position_m[self.rows])
         angle = angle_between(self.rotation, self._start.rotation[self.rows])
         contour_px = self._found.statistics[:, CONTOUR_PX]
-        support = self._found.statistics[:, CLEAR_PX] / np.maximum(self._found.statistics[:, EXPECTED_CLEAR_PX], 1e-9)
         whole = shares_in_view(self._view, self.position_m, self.rotation) == 1.0
         sigma_rad = np.sqrt(np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2))
         is_near = (distance < MAX_SHIFT_REACH * self._view.reach_m) & (angle < MAX_TURN_RAD)
         on_path = (distance < SECOND_START_REACH * self._view.reach_m) & (angle < SECOND_START_RAD)
         least = np.where(self._on_flights & on_path, ON_PATH_SUPPORT, MIN_SUPPORT)
-        has_support = support >= np.where(whole, least, MIN_SUPPORT_CUT)
+        has_support = supports(self._found.statistics) >= np.where(whole, least, MIN_SUPPORT_CUT)
         is_visible = (contour_px >= LEAST_CONTOUR_PX) & has_support
         return np.asarray(is_near & is_visible & (sigma_rad < KNOWN_RAD))
 

@@ -64,9 +64,9 @@ IGNORED_FASTEST_MOVES = 20
 """Largest moves that are ignored, because they may be those of outliers: a die that rests through most of its film has still
 flown as fast as any."""
 CONTACT_REACH = 0.58
-"""Largest distance of a contact's lowest vertex from the table, in circumradii: rounding, calibration and depth error. Half a per
-cent of the distance to the camera is half a circumradius, whatever the length of an edge, and at a codec's coarse settings the
-contour of a dark die errs by that much. With 0.5 the bounces of a tetrahedron in MJPEG were missed."""
+"""Largest distance of a contact's lowest vertex from the table, in circumradii: rounding, calibration and depth error.
+Half a per cent of the distance to the camera is a quarter of a die, whatever the length of its edge; a codec lifted a dark
+dodecahedron by 0.4 circumradii. With 0.5 the bounces of a tetrahedron in MJPEG were missed."""
 
 
 def contact_reach_m(die: Die) -> float:

@@ -14,7 +14,7 @@ from diethrow.tracking.throw.measurement import measure_throw
 
 CIRCUMRADIUS_M = 0.01
 SEEN_ABOVE = 0.5
-"""Height above its own, in circumradii, at which a die is seen whose distance is half a per cent wrong."""
+"""Height above its own, in circumradii, at which a die is seen: half a per cent of a metre that it is away."""
 FRAMES_BEHIND = 10
 THROWS = 3
 
