@@ -94,8 +94,8 @@ def manual_initial_pose(view: View, image: Image, start: ManualInitialisation) -
         best = max((pose.support for pose in found), default=0.0)
         raise InputError(
             f"start.frame = {start.frame}: the picture shows {100 * best:.0f} % of what should be clear of the contour of a "
-            f"{view.die.solid.name} there, wanted at least {100 * LEAST_SUPPORT:.0f} %; check the frame's number, and the pose or "
-            "clicks"
+            f"{view.die.solid.name} there, wanted at least {100 * LEAST_SUPPORT:.0f} %; check the frame's number, and the pose "
+            "or clicks"
         )
     pose = min(confirmed, key=lambda each: each.cost)
     return _labelled_as_given(view, pose, start)
