@@ -27,7 +27,7 @@ from .ray_traced_die import Body, Light, render, shadow
 
 Array = NDArray[np.float64]
 
-RENDERER_VERSION = 2
+RENDERER_VERSION = 3
 """Part of the name of a cached clip; counts the changes of pictures or draws."""
 FINER = 3
 """Subpixels along each side of a pixel: at a blur of 0.45 px their distance is 0.74 standard deviations."""
@@ -41,6 +41,8 @@ POSES_ROLLING = 192
 TILE_PX = 160
 TEXTURE_PX = 1024
 SHADOW_LAMPS = 64
+SHADOW_BLUR_PX = 0.8
+"""Blur that makes one soft shadow of those of the points of a lamp."""
 CONTAINER_FPS = 30
 BACKGROUND_EXPOSURES = 16
 PIPS = {
@@ -284,13 +286,21 @@ def _frames(
         under = table[top:bottom, left:right]
         where = points[top:bottom:finer, left:right:finer]
         dark = shadow(body, np.ascontiguousarray(where), rotations[count // 2], positions[count // 2], lamps)
-        dark = cv2.GaussianBlur(dark.astype(np.float32), (0, 0), 0.8)
+        dark = _smooth_beside(dark.astype(np.float32), _pixels(cover.astype(np.float32), finer))
         dark = cv2.resize(dark, (under.shape[1], under.shape[0]), interpolation=cv2.INTER_LINEAR)
         fine = under * (1.0 - shade * dark) * (1.0 - cover.astype(np.float32)) + die.astype(np.float32)
         fine = cv2.GaussianBlur(fine, (0, 0), blur, borderType=cv2.BORDER_REPLICATE)
         full = empty.copy()
         full[top // finer : bottom // finer, left // finer : right // finer] = _pixels(fine, finer)
         yield full
+
+
+def _smooth_beside(dark: NDArray[np.float32], cover: Array) -> NDArray[np.float32]:
+    """A shadow, smoothed over the few points of the lamp. What lies behind the die is left out: the dark table below it would
+    else show beyond its outline."""
+    seen = np.asarray(1.0 - cover, np.float32)
+    total = cv2.GaussianBlur(dark * seen, (0, 0), SHADOW_BLUR_PX)
+    return np.asarray(total / np.maximum(cv2.GaussianBlur(seen, (0, 0), SHADOW_BLUR_PX), 1e-6), np.float32)
 
 
 def _poses(draw: Draw, times_s: Array) -> tuple[Array, Array]:
