@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...model.die import nearest_equivalent_rotation
 from ...model.rotations import angle_between, matrix_from_quat, quat_from_rotvec
-from ...model.throw import Throw
+from ...model.throw import Flight, Throw
 from ..footage import FrameSource
 from ..picture import View
 from ..pose import ClipPoses, as_track, exposure_times_s, wholly_in_view
@@ -28,6 +28,16 @@ SURE_ROWS = 3
 SURE_TURN = 0.25
 """Turn between them, in the least angle of a symmetry, below which their labels agree: with others the die would have turned by
 three times as much at the least."""
+MEETING_FRAMES = 4
+"""Frames that lie on a flight from which its orientation beyond them may decide: three determine it."""
+MEETING_MARGIN = 0.25
+"""Frames beyond the last of one flight and the first of the next at which they may meet: an impact within an exposure."""
+MEETING_TURN = 0.06
+"""Turn between two flights where they meet, in the least angle of a symmetry, up to which they agree: four to seven degrees."""
+CLEAR_RATIO = 3.0
+"""Times as far apart as in the nearest labelling that flights remain in all others if that is to decide."""
+MEETING_STEP_RAD = 0.03
+"""Turn of both flights from one instant that is tried to the next."""
 FRAMES_PER_GROUP = 40
 """Frames from which the marks are learned that one labelling shows: the noise of their mean is a sixth of one frame's."""
 
@@ -35,9 +45,9 @@ FRAMES_PER_GROUP = 40
 def with_consistent_labels(view: View, poses: ClipPoses, throw: Throw, times_s: Array) -> ClipPoses:
     """The poses with one labelling throughout.
 
-    Where contacts follow each other too fast for the poses between them to be certain, each flight takes the labelling that
-    rotates least from the flight before. If a flight is off its frames at the contact, consecutive frames beside the contact
-    decide."""
+    An instant at which two flights meet in one labelling alone decides (`_where_flights_meet`). Where there is none, contacts
+    follow each other too fast for the poses between them to be certain, and each flight takes the labelling that rotates least
+    from the flight before. If a flight is off its frames at the contact, consecutive frames beside the contact decide."""
     rotation, known = poses.rotation.copy(), np.flatnonzero(poses.known)
     relabelling = np.eye(3)
     for k, impact in enumerate(throw.impacts):
@@ -51,11 +61,48 @@ def with_consistent_labels(view: View, poses: ClipPoses, throw: Throw, times_s: 
             ]
             if _are_off_flight(view, poses.rotation[beside], matrix_from_quat(np.array(quaternions))).any():
                 before, after = poses.rotation[beside]
+        meeting = _where_flights_meet(view, poses, (flights[0], flights[1]), times_s)
+        if meeting is not None:
+            before, after = meeting
         relabelling = after.T @ nearest_equivalent_rotation(after, before @ relabelling, view.symmetries)
         end = throw.impacts[k + 1].time_s if k + 1 < len(throw.impacts) else np.inf
         inside = (times_s > impact.time_s) & (times_s <= end)
         rotation[inside] = rotation[inside] @ relabelling
     return replace(poses, rotation=rotation)
+
+
+def _where_flights_meet(
+    view: View, poses: ClipPoses, flights: tuple[Flight, Flight], times_s: Array
+) -> tuple[Array, Array] | None:
+    """The orientations of two flights at the instant, between the last frame on the one and the first on the other or little
+    farther, at which they agree in one labelling; None where they agree in none or in several, or frames do not lie on both.
+
+    At a spin of half a symmetry's angle a frame the instant of an unresolved contact says little: that of the least turn between
+    the flights at another instant is another labelling."""
+    ahead, behind = (_rows_on_flight(view, poses, flight, times_s) for flight in flights)
+    if not len(ahead) or not len(behind):
+        return None
+    margin_s = MEETING_MARGIN * float(np.median(np.diff(times_s)))
+    first_s, last_s = times_s[ahead[-1]] - margin_s, times_s[behind[0]] + margin_s
+    swept_rad = (last_s - first_s) * sum(float(np.linalg.norm(flight.start.omega_rad_s)) for flight in flights)
+    instants_s = np.linspace(first_s, last_s, 2 + int(swept_rad / MEETING_STEP_RAD))
+    before, after = (matrix_from_quat(flight.poses(instants_s)[1]) for flight in flights)
+    apart_rad = angle_between(before[:, None], after[:, None] @ view.symmetries).min(0)
+    least_rad = np.sort(angle_between(np.eye(3), view.symmetries))[1:].min(initial=np.inf)
+    nearest, second = np.sort(apart_rad)[:2] if len(apart_rad) > 1 else (0.0, np.inf)
+    if nearest > MEETING_TURN * least_rad or second < CLEAR_RATIO * max(nearest, MEETING_STEP_RAD):
+        return None
+    chosen = view.symmetries[int(np.argmin(apart_rad))]
+    at = int(np.argmin(angle_between(before, after @ chosen)))
+    return before[at], after[at]
+
+
+def _rows_on_flight(view: View, poses: ClipPoses, flight: Flight, times_s: Array) -> Rows:
+    """The frames within a flight that lie on it; none if most do not, or no more than determine it."""
+    rows = np.flatnonzero(poses.known & (times_s >= flight.start.time_s) & (times_s <= flight.end_s))
+    there = matrix_from_quat(flight.poses(times_s[rows])[1])
+    on_flight = rows[~_are_off_flight(view, poses.rotation[rows], there)]
+    return on_flight if len(on_flight) >= max(MEETING_FRAMES, len(rows) // 2) else rows[:0]
 
 
 def with_labels_of_marks(view: View, source: FrameSource, poses: ClipPoses, throw: Throw) -> ClipPoses:
