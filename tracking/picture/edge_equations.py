@@ -99,7 +99,7 @@ GRAZING_COSINE = 0.04
 separated."""
 REFLECTION_MARGIN_PX = 2.0
 """Margin about the outline of a reflection (or of the die before its reflection) within which lines are left out."""
-SHADE_CHANGE = 1.0
+SHADE_CHANGE = 1.5
 """Standard deviation of the change of the shade on the background over a length of a circumradius and the height above the table:
 the soft shadow of a die, and what it hides of the light from all sides, are as wide as that. Twice of what rendered clips show.
 Without a slope the contours of dark dice near a light table were found 0.15 px too far out."""
@@ -362,8 +362,8 @@ def add_edge_equations(
 def shade_slope(rig: CameraRig, view: int, shape: Shape, pos: Any, height: float) -> float:
     """Standard deviation of the slope [1/px] of the shade on the background beside a contour at some height above the table: the
     farther the table lies behind, the softer is what the die throws on it."""
-    metre_px = rig.matrix[view, 0, 0] / depth_of(rig, view, pos)
-    return SHADE_CHANGE / ((reach_of_die(shape) + max(height, 0.0)) * metre_px)
+    metre_px, reach = rig.matrix[view, 0, 0] / depth_of(rig, view, pos), reach_of_die(shape)
+    return SHADE_CHANGE * reach / ((reach + max(height, 0.0)) ** 2 * metre_px)
 
 
 @inner_no_memory
