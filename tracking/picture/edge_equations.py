@@ -8,8 +8,7 @@ from its projection, the image is modelled as
 
 where c0 is the face on the near side and c1 the other face (b = 1), or the shade on the known background (b = B, the
 background without the die: c1 = 1 in full light and less in the die's own shadow). The intensities of a short stretch
-of edge are eliminated (`edge_stretch`); the strips beside a rounded edge have two more (`rounded_edge`). Beside a contour the
-shade has a slope, too, since the shadow of a die is soft.
+of edge are eliminated (`edge_stretch`); the strips beside a rounded edge have two more (`rounded_edge`).
 
 The blur σ is that of the lens (at the depth of the edge, where the lens shows a depth of field), and on every pixel line
 also that of the motion. An edge that moves by m pixels across itself during the exposure is spread by a box of variance
@@ -45,13 +44,11 @@ from ..placed_die import (
     MAX_STRETCH_PIXELS,
     NO_LIGHT,
     STRIP_CELLS,
-    CameraRig,
     EdgeSampling,
     FrameWindows,
     NormalEquations,
     PictureModel,
     PoseState,
-    Shape,
     Workspace,
     camera_point,
     clear_light,
@@ -99,10 +96,6 @@ GRAZING_COSINE = 0.04
 separated."""
 REFLECTION_MARGIN_PX = 2.0
 """Margin about the outline of a reflection (or of the die before its reflection) within which lines are left out."""
-SHADE_CHANGE = 1.5
-"""Standard deviation of the change of the shade on the background over a length of a circumradius and the height above the table:
-the soft shadow of a die, and what it hides of the light from all sides, are as wide as that. Twice of what rendered clips show.
-Without a slope the contours of dark dice near a light table were found 0.15 px too far out."""
 KEPT_BLURS = 2.0
 """Blurs by which the band stays away from other edges."""
 LEAST_BAND_BLURS = 1.2
@@ -200,8 +193,6 @@ def add_edge_equations(
         n = m = np.int64(0)
         walked, under_sum = 0.0, 0.0
         row_length = stride * length / (hi - lo)
-        height = pose.position[2] + 0.5 * (arm[iA, 2] + arm[iB, 2])
-        slope_of_shade = shade_slope(rig, view, shape, pose.position, height)
         Ax, Ay, Az, Bz = cam[iA, 0], cam[iA, 1], cam[iA, 2], cam[iB, 2]
         Dx, Dy, Dz = cam[iB, 0] - Ax, cam[iB, 1] - Ay, Bz - Az
         Px, Py, Pz = arm[iA, 0], arm[iA, 1], arm[iA, 2]
@@ -209,13 +200,13 @@ def add_edge_equations(
         for line in range(first, last + 1 + stride, stride):
             if m > 0 and (walked >= (STRETCH_PX if interior else settings.contour_stretch_px) or line > last):
                 if sharp:
-                    fill_sharp_basis(n, phi[0], phi[1], slope[0], slope[1], work.ramp)
+                    fill_sharp_basis(n, phi[0], phi[1], slope[0], slope[1])
                     if with_blur:
                         for j in range(n):
                             spread[0, j], spread[1, j] = -slope[0, j] * spread[0, j], -slope[1, j] * spread[0, j]
                 stretch = Stretch(
                     n, m, sharp, interior, under_sum, walked, (last - first + 1) / (stride * m), rig.weight[view], view, f0,
-                    f1 if interior else len(facing), slope_of_shade,
+                    f1 if interior else len(facing),
                 )  # fmt: skip
                 add_stretch(stretch, settings, sampling, work, equations)
                 n = m = np.int64(0)
@@ -356,14 +347,6 @@ def add_edge_equations(
         eliminate_shared_greys(work, view, top, H, g)
     else:
         eliminate_light(work.light, view, top, H, g)
-
-
-@inner_no_memory
-def shade_slope(rig: CameraRig, view: int, shape: Shape, pos: Any, height: float) -> float:
-    """Standard deviation of the slope [1/px] of the shade on the background beside a contour at some height above the table: the
-    farther the table lies behind, the softer is what the die throws on it."""
-    metre_px, reach = rig.matrix[view, 0, 0] / depth_of(rig, view, pos), reach_of_die(shape)
-    return SHADE_CHANGE * reach / ((reach + max(height, 0.0)) ** 2 * metre_px)
 
 
 @inner_no_memory

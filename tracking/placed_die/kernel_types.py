@@ -346,12 +346,6 @@ class Workspace(NamedTuple):
     """(4, MAX_STRETCH_PIXELS) dφ/dd."""
     basis_blur: Any
     """(4, MAX_STRETCH_PIXELS) dφ/dσ."""
-    ramp: Any
-    """(MAX_STRETCH_PIXELS,) what each pixel beside a contour gets of the slope of the shade on the background [px]."""
-    ramp_by_intensities: Any
-    """(4,) coupling of the slope to the intensities of a stretch."""
-    ramp_by_parameters: Any
-    """(PARAMETERS,) coupling of the parameters to the slope."""
     grey: Any
     """(MAX_STRETCH_PIXELS,) observed; the next four alike."""
     weight: Any
@@ -427,8 +421,7 @@ def new_workspace(shape: Shape, rig: CameraRig) -> Workspace:
         np.zeros((nv, 2)), np.zeros((nv, 3)), np.zeros((nv, 3)), np.zeros((nf, 3)), np.zeros(nf), np.zeros((2, 3)),
         np.zeros(3), np.zeros(STRIP_CELLS + 1),
         np.zeros((STRIP_CELLS + 1, 5)), np.zeros(5), np.zeros(3), np.zeros((ne, 5)), np.zeros(most),
-        np.zeros((4, most)), np.zeros((4, most)), np.zeros((4, most)), np.zeros(most), np.zeros(4), np.zeros(PARAMETERS),
-        np.zeros(most), np.zeros(most), np.zeros(most),
+        np.zeros((4, most)), np.zeros((4, most)), np.zeros((4, most)), np.zeros(most), np.zeros(most), np.zeros(most),
         np.zeros(most), np.zeros(most), np.zeros(most), np.zeros(most), np.zeros((2, shape.face_edges.shape[1], 5)),
         np.zeros(MAX_STRETCH_ROWS, np.int64),
         np.zeros((MAX_STRETCH_ROWS, PARAMETERS)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((PARAMETERS, 4)), np.zeros(4),
