@@ -48,27 +48,31 @@ def with_consistent_labels(view: View, poses: ClipPoses, throw: Throw, times_s: 
     An instant at which two flights meet in one labelling alone decides (`_where_flights_meet`). Where there is none, contacts
     follow each other too fast for the poses between them to be certain, and each flight takes the labelling that rotates least
     from the flight before. If a flight is off its frames at the contact, consecutive frames beside the contact decide."""
-    rotation, known = poses.rotation.copy(), np.flatnonzero(poses.known)
-    relabelling = np.eye(3)
+    rotation, relabelling = poses.rotation.copy(), np.eye(3)
     for k, impact in enumerate(throw.impacts):
-        flights = throw.flights[k : k + 2]
-        before, after = (flight.at(impact.time_s).rotation for flight in flights)
-        behind = int(np.searchsorted(times_s[known], impact.time_s, side="right"))
-        beside = known[max(behind - 1, 0) : behind + 1]
-        if len(beside) == 2 and beside[1] - beside[0] == 1:
-            quaternions = [
-                flight.at(float(times_s[row])).quaternion for flight, row in zip(flights, beside, strict=True)
-            ]
-            if _are_off_flight(view, poses.rotation[beside], matrix_from_quat(np.array(quaternions))).any():
-                before, after = poses.rotation[beside]
-        meeting = _where_flights_meet(view, poses, (flights[0], flights[1]), times_s)
-        if meeting is not None:
-            before, after = meeting
+        flights = (throw.flights[k], throw.flights[k + 1])
+        meeting = _where_flights_meet(view, poses, flights, times_s)
+        before, after = meeting or _at_contact(view, poses, flights, impact.time_s, times_s)
         relabelling = after.T @ nearest_equivalent_rotation(after, before @ relabelling, view.symmetries)
         end = throw.impacts[k + 1].time_s if k + 1 < len(throw.impacts) else np.inf
         inside = (times_s > impact.time_s) & (times_s <= end)
         rotation[inside] = rotation[inside] @ relabelling
     return replace(poses, rotation=rotation)
+
+
+def _at_contact(
+    view: View, poses: ClipPoses, flights: tuple[Flight, Flight], contact_s: float, times_s: Array
+) -> tuple[Array, Array]:
+    """The orientations of two flights at the instant of their contact; if either is off its frame beside it, of these frames,
+    where they are consecutive."""
+    known = np.flatnonzero(poses.known)
+    behind = int(np.searchsorted(times_s[known], contact_s, side="right"))
+    beside = known[max(behind - 1, 0) : behind + 1]
+    if len(beside) == 2 and beside[1] - beside[0] == 1:
+        quaternions = [flight.at(float(times_s[row])).quaternion for flight, row in zip(flights, beside, strict=True)]
+        if _are_off_flight(view, poses.rotation[beside], matrix_from_quat(np.array(quaternions))).any():
+            return poses.rotation[beside[0]], poses.rotation[beside[1]]
+    return flights[0].at(contact_s).rotation, flights[1].at(contact_s).rotation
 
 
 def _where_flights_meet(
