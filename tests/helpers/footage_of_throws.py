@@ -37,6 +37,8 @@ BANDS = 12
 """Parts of a picture between which a rolling shutter is interpolated: a die moves by a tenth of a pixel in one."""
 LIGHT = np.array([0.35, -0.55, 0.76])
 """Direction to the lamp."""
+SOFT_SHADOW, SOFT_SHADOW_PX = 0.2, 10.0
+"""Light that a soft shadow takes beside a die, and the distance over which that fades to a third."""
 REACH_M = 0.011
 """Circumradius of every die, which is then 80 px across."""
 
@@ -124,6 +126,17 @@ def studio(width_px: int = 200, height_px: int = 200, focal_px: float = 1500.0, 
     clouds = np.random.default_rng(7).normal(size=(height_px, width_px))
     texture = cv2.GaussianBlur(clouds, (0, 0), 3.0)
     return Studio(camera, np.asarray(75.0 + 7.0 * texture / texture.std(), np.float32))
+
+
+def softly_shaded(room: Studio, points_m: Array) -> Studio:
+    """The studio with a table that gets darker towards the outline of some points (n, 3), by SOFT_SHADOW where it touches it."""
+    outline = cv2.convexHull(room.camera.project(points_m).astype(np.float32))
+    outside = np.ones(room.table.shape, np.uint8)
+    cv2.fillConvexPoly(outside, np.rint(outline).astype(np.int32), 0)
+    away_px = cv2.distanceTransform(outside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return replace(
+        room, table=np.asarray(room.table * (1.0 - SOFT_SHADOW * np.exp(-away_px / SOFT_SHADOW_PX)), np.float32)
+    )
 
 
 def still(rng: np.random.Generator, height_m: float = 0.018) -> State:

@@ -76,6 +76,9 @@ LEAST_GAIN = 1e-9
 """Least standard error of a gain."""
 OUTLIER_DEVIATIONS = 3.0
 """Median absolute deviations to which the gain of a frame is limited."""
+TRIED_SHADE_CHANGE = 0.3
+"""Change of the shade beside the contour while exponents are compared, see `RefinementSettings`: a fifth of what poses are given.
+On the profile of a contour a slope looks like a curve, and made a linear clip of a well-rounded die look like one of a curve."""
 REFINED_STEPS = 8
 """Most steps of the refinement of a pose."""
 REFINED_GAIN = 1e-3
@@ -217,7 +220,7 @@ def _log_noise(view: View, frames: SampledFrames, clip: Clip, exponent: float) -
     full_scale = file_scale * level_grey(clip, exponent)
     settings = view.settings._replace(
         fine_steps=REFINED_STEPS, min_gain=REFINED_GAIN, region_pixels=0, response=exponent, full_scale=full_scale,
-        file_scale=file_scale, saturation_grey=full_scale,
+        file_scale=file_scale, saturation_grey=full_scale, shade_change=TRIED_SHADE_CHANGE,
     )  # fmt: skip
     log_noise = np.full(len(frames), np.nan)
     work, equations = new_workspace(view.shape, view.rig), new_equations()

@@ -8,7 +8,8 @@ from its projection, the image is modelled as
 
 where c0 is the face on the near side and c1 the other face (b = 1), or the shade on the known background (b = B, the
 background without the die: c1 = 1 in full light and less in the die's own shadow). The intensities of a short stretch
-of edge are eliminated (`edge_stretch`); the strips beside a rounded edge have two more (`rounded_edge`).
+of edge are eliminated (`edge_stretch`); the strips beside a rounded edge have two more (`rounded_edge`). Beside a contour the
+shade has a slope, too, since the shadow of a die is soft.
 
 The blur σ is that of the lens (at the depth of the edge, where the lens shows a depth of field), and on every pixel line
 also that of the motion. An edge that moves by m pixels across itself during the exposure is spread by a box of variance
@@ -73,6 +74,7 @@ from ..placed_die import (
     within_hull,
 )
 from .edge_stretch import Stretch, add_stretch, eliminate_shared_greys
+from .shade import shade_slope
 
 STRETCH_PX = 24.0
 """Length of edge that shares its intensities: short enough for shading to be constant along it."""
@@ -193,6 +195,8 @@ def add_edge_equations(
         n = m = np.int64(0)
         walked, under_sum = 0.0, 0.0
         row_length = stride * length / (hi - lo)
+        height = pose.position[2] + 0.5 * (arm[iA, 2] + arm[iB, 2])
+        slope_of_shade = shade_slope(model, view, pose.position, height)
         Ax, Ay, Az, Bz = cam[iA, 0], cam[iA, 1], cam[iA, 2], cam[iB, 2]
         Dx, Dy, Dz = cam[iB, 0] - Ax, cam[iB, 1] - Ay, Bz - Az
         Px, Py, Pz = arm[iA, 0], arm[iA, 1], arm[iA, 2]
@@ -200,13 +204,13 @@ def add_edge_equations(
         for line in range(first, last + 1 + stride, stride):
             if m > 0 and (walked >= (STRETCH_PX if interior else settings.contour_stretch_px) or line > last):
                 if sharp:
-                    fill_sharp_basis(n, phi[0], phi[1], slope[0], slope[1])
+                    fill_sharp_basis(n, phi[0], phi[1], slope[0], slope[1], work.ramp)
                     if with_blur:
                         for j in range(n):
                             spread[0, j], spread[1, j] = -slope[0, j] * spread[0, j], -slope[1, j] * spread[0, j]
                 stretch = Stretch(
                     n, m, sharp, interior, under_sum, walked, (last - first + 1) / (stride * m), rig.weight[view], view, f0,
-                    f1 if interior else len(facing),
+                    f1 if interior else len(facing), slope_of_shade,
                 )  # fmt: skip
                 add_stretch(stretch, settings, sampling, work, equations)
                 n = m = np.int64(0)

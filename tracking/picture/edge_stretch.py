@@ -14,6 +14,11 @@ grey, each also informs the others. Their mean grey and the variance between the
 Laird, Control. Clin. Trials 7, 177, 1986); the mean is a prior on each stretch, is itself an unknown of the frame, and
 is eliminated from the equations of a view.
 
+**Slope of the shade.** The background beside a contour gets darker or lighter away from the die, by a slope s about zero of a
+stated standard deviation: far above the table, where nothing of the kind is near, that is so small that s costs no information.
+s is eliminated before all else, so that what follows is as without it. The derivative of a pixel by the blur
+leaves out that of s: a hundredth of it.
+
 **Saturation.** A pixel at full scale says "at least this bright". Where as much is predicted it says nothing else: it has no
 weight, and how bright the side of the edge is follows from the pixels between the two. Where less is, it counts as any other.
 
@@ -60,6 +65,7 @@ from ..placed_die import (
     solve_factored,
     used_columns,
 )
+from .shade import error_of_step_by_slope
 from .stretch_sums import (
     CENSORED,
     FAR_OFF,
@@ -67,7 +73,9 @@ from .stretch_sums import (
     four_residuals,
     four_sums,
     has_saturated,
+    less_ramp,
     median_size,
+    ramp_sums,
     robust_scale,
     two_residuals,
     two_sums,
@@ -129,6 +137,8 @@ class Stretch(NamedTuple):
     """The near face."""
     far: int
     """The far face, or the number of faces for the background."""
+    shade_slope: float
+    """Standard deviation of the slope of the shade on the background [1/px]."""
 
 
 @inner_no_memory
@@ -160,6 +170,8 @@ def add_stretch(
     light, tie = work.light, work.tie
     lit = not sharp and light.level[view] > 0.0
     face_tie, strip_tie, tail = 0.0, 0.0, 1.0
+    slope_of_shade, square, shown, ramp, coupled = 0.0, 0.0, 0.0, work.ramp, work.ramp_by_intensities
+    shaded = not stretch.interior
     if lit:
         fill_expected(view, light)
         deviation = light.deviation[view]
@@ -176,6 +188,16 @@ def add_stretch(
     for reweighting in range(REWEIGHTINGS):
         if sharp:
             A[0, 0], A[1, 0], A[1, 1], y[0], y[1] = two_sums(n, icut, phi[0], phi[1], grey, res, w)
+        else:
+            four_sums(n, icut, phi, grey, res, w, A, y)
+        if shaded:
+            square, shown = ramp_sums(n, K, phi, ramp, grey, w, coupled)
+            square += (scale / stretch.shade_slope) ** 2
+            for a in range(K):
+                y[a] -= coupled[a] * shown / square
+                for b in range(a + 1):
+                    A[a, b] -= coupled[a] * coupled[b] / square
+        if sharp:
             if reweighting == REWEIGHTINGS - 1:
                 _note_greys(A, y, scale, sums[near], sums[far])
             known_near, known_far = shared_grey[near, 1] * scale * scale, shared_grey[far, 1] * scale * scale
@@ -183,24 +205,22 @@ def add_stretch(
             A[1, 1] += known_far
             y[0] += known_near * shared_grey[near, 0]
             y[1] += known_far * shared_grey[far, 0]
+        elif lit:
+            if reweighting > 0 and light.solved[view] > 0:
+                off2, off3 = c[2] - light.expected[2], c[3] - light.expected[3]
+                spread2, spread3 = light.spread[0] + 1.0 / strip_tie, light.spread[1] + 1.0 / strip_tie
+                tail = (TAIL_DEGREES + 2.0) / (TAIL_DEGREES + off2 * off2 / spread2 + off3 * off3 / spread3)
+            tie[0] = face_tie * scale * scale
+            tie[1] = tie[0] if stretch.interior else 0.0
+            tie[2] = tie[3] = min(tail, 1.0) * strip_tie * scale * scale
+            for a in range(4):
+                A[a, a] += tie[a]
+                y[a] += tie[a] * light.expected[a]
         else:
-            four_sums(n, icut, phi, grey, res, w, A, y)
-            if lit:
-                if reweighting > 0 and light.solved[view] > 0:
-                    off2, off3 = c[2] - light.expected[2], c[3] - light.expected[3]
-                    spread2, spread3 = light.spread[0] + 1.0 / strip_tie, light.spread[1] + 1.0 / strip_tie
-                    tail = (TAIL_DEGREES + 2.0) / (TAIL_DEGREES + off2 * off2 / spread2 + off3 * off3 / spread3)
-                tie[0] = face_tie * scale * scale
-                tie[1] = tie[0] if stretch.interior else 0.0
-                tie[2] = tie[3] = min(tail, 1.0) * strip_tie * scale * scale
-                for a in range(4):
-                    A[a, a] += tie[a]
-                    y[a] += tie[a] * light.expected[a]
-            else:
-                level = 0.5 * (abs(y[0] / max(A[0, 0], 1e-9)) + abs(y[1] / max(A[1, 1], 1e-9)) * base) + 1.0
-                prior = (max(scale, STRIP_NOISE_GREY) / (settings.strip_prior_share * level)) ** 2
-                A[2, 2] += prior
-                A[3, 3] += prior
+            level = 0.5 * (abs(y[0] / max(A[0, 0], 1e-9)) + abs(y[1] / max(A[1, 1], 1e-9)) * base) + 1.0
+            prior = (max(scale, STRIP_NOISE_GREY) / (settings.strip_prior_share * level)) ** 2
+            A[2, 2] += prior
+            A[3, 3] += prior
         if not cholesky_factor(A, K, L, LEAST_PIVOT):
             return
         solve_factored(L, K, y, c)
@@ -208,6 +228,12 @@ def add_stretch(
             two_residuals(n, c[0], c[1], phi[0], phi[1], grey, res, size)
         else:
             four_residuals(n, c, phi, grey, res, size)
+        if shaded:
+            slope_of_shade = shown
+            for a in range(K):
+                slope_of_shade -= coupled[a] * c[a]
+            slope_of_shade /= square
+            less_ramp(n, slope_of_shade, ramp, res, size)
         if is_saturated:
             seen = censor(n, settings.saturation_grey, work.value, res, size)
             if seen < FEWEST_PIXELS:
@@ -226,6 +252,9 @@ def add_stretch(
     if lit:
         for i in range(n):
             rise[i] += work.known_slope[i]
+    if shaded:
+        for i in range(n):
+            rise[i] += slope_of_shade * phi[1, i]
     rounding_grey = settings.rounding_grey
     if rounding_grey > 0.0:
         correlated = _correlated_shift(n, rise, w)
@@ -240,12 +269,13 @@ def add_stretch(
     bent = work.response_slope
     if with_response:
         _fill_response_slopes(n, c[0], phi[0], work.value, res, bent)
-    begin, rows = work.row_begin, work.row_jacobian
+    begin, rows, ramped = work.row_begin, work.row_jacobian, work.ramp_by_parameters
     C[:] = 0.0
+    ramped[:] = 0.0
     lines = 0
     for k in range(m):
         # All pixels of a line share the derivative of d: sums over its pixels first, then the parameters once.
-        rr, re, r0, r1, r2, r3, rs, rb = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        rr, re, r0, r1, r2, r3, rs, rb, rt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(begin[k], begin[k + 1]):
             wr = w[i] * rise[i]
             rr += wr * rise[i]
@@ -261,6 +291,9 @@ def add_stretch(
                 stats[LINE_PRODUCTS + lag] += shift * size[lines - 1 - lag]
             size[lines] = shift
             lines += 1
+        if shaded:
+            for i in range(begin[k], begin[k + 1]):
+                rt += w[i] * rise[i] * ramp[i]
         if not sharp:
             for i in range(begin[k], begin[k + 1]):
                 wr = w[i] * rise[i]
@@ -275,6 +308,8 @@ def add_stretch(
                 rs += ws * rise[i]
                 H[BLUR, BLUR] += iv * ws * widen
                 g[BLUR] += iv * ws * res[i]
+                if shaded:
+                    ramped[BLUR] += iv * ws * ramp[i]
                 for a in range(K):
                     C[BLUR, a] += iv * ws * phi[a, i]
         if with_response:
@@ -283,6 +318,8 @@ def add_stretch(
                 rb += wb * rise[i]
                 H[RESPONSE, RESPONSE] += iv * wb * bent[i]
                 g[RESPONSE] += iv * wb * res[i]
+                if shaded:
+                    ramped[RESPONSE] += iv * wb * ramp[i]
                 for a in range(K):
                     C[RESPONSE, a] += iv * wb * phi[a, i]
         j0, j1, j2, j3 = rows[k, 0], rows[k, 1], rows[k, 2], rows[k, 3]
@@ -294,6 +331,7 @@ def add_stretch(
             C[a, 1] += ja * r1
             C[a, 2] += ja * r2
             C[a, 3] += ja * r3
+            ramped[a] += ja * rt
             # The whole row, although the lower half would do: eight sums at once, and the compiler need not assume that H and
             # `rows` overlap.
             jr, h = ja * rr, H[a]
@@ -309,6 +347,13 @@ def add_stretch(
             H[RESPONSE, a] += ja * rb
     # H -= C S⁻¹ Cᵀ, with S = A iv.
     top = used_columns(sampling)
+    if shaded:
+        # The slope of the shade is eliminated first, so that what follows is as without it.
+        for b in range(top):
+            for a in range(K):
+                C[b, a] -= ramped[b] * coupled[a] / square
+            for a in range(b, top):
+                H[a, b] -= ramped[a] * ramped[b] / (square * iv)
     sharing = known_near > 0.0 or known_far > 0.0
     by_near, by_far = work.shared_coupling[view, near], work.shared_coupling[view, far]
     for b in range(top):
@@ -339,10 +384,13 @@ def add_stretch(
     stats[ROBUST_COST] += cost
     stats[WEIGHT_SUM] += used
     stats[LOG_NOISE] += n * log(_file_noise(n, settings, work.value, res, size) if settings.response > 0.0 else scale)
-    contrast = abs(c[1] * base - c[0])
-    clear = contrast > CLEAR_SIGMAS * scale or (contrast > FAINT_SIGMAS * scale and used > FAINT_PIXELS)
-    if clear and not stretch.interior:
-        stats[CLEAR_PX] += stretch.length_px
+    if shaded:
+        # Beside a rounded edge the strip lies between the two sides, whose step says less of what is clear.
+        contrast, faint = abs(c[1] * base - c[0]), scale
+        if sharp:
+            faint *= error_of_step_by_slope(A, base, coupled, square)
+        if contrast > CLEAR_SIGMAS * scale or (contrast > FAINT_SIGMAS * faint and used > FAINT_PIXELS):
+            stats[CLEAR_PX] += stretch.length_px
 
 
 @inner_no_memory

@@ -68,6 +68,30 @@ def two_sums(
     return a00, a10, a11, y0, y1
 
 
+@inner_fast_sums_no_memory
+def ramp_sums(n: int, K: int, phi: Any, ramp: Any, grey: Any, w: Any, out: Any) -> tuple[float, float]:
+    """Of a slope of the shade: fill its coupling to the K intensities; return its square and its right side."""
+    square, right = 0.0, 0.0
+    for i in range(n):
+        wr = w[i] * ramp[i]
+        square += wr * ramp[i]
+        right += wr * grey[i]
+    for a in range(K):
+        basis, both = phi[a], 0.0
+        for i in range(n):
+            both += w[i] * ramp[i] * basis[i]
+        out[a] = both
+    return square, right
+
+
+@inner_no_memory
+def less_ramp(n: int, slope: float, ramp: Any, res: Any, size: Any) -> None:
+    """Residuals, and their absolute values, less the slope of the shade."""
+    for i in range(n):
+        res[i] -= slope * ramp[i]
+        size[i] = abs(res[i])
+
+
 @inner_no_memory
 def two_residuals(n: int, c0: float, c1: float, near: Any, far: Any, grey: Any, res: Any, size: Any) -> None:
     """Residuals of two intensities, and their absolute values."""

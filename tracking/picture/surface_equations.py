@@ -82,24 +82,25 @@ from .edge_stretch import (
     response_slope,
 )
 from .region_cost import DIFFERENT_SIGMAS, FACE_SHADING, FACE_SIGMAS, SHADOW_SQUARED_SIGMAS_CUT, SQUARED_SIGMAS_CUT
+from .shade import (
+    LEAST_NOISE_GREY,
+    MARK_SIGMAS,
+    OUTSIDE_SHARE,
+    REWEIGHTINGS,
+    distance_seen_px,
+    eliminate_shades,
+    shade_at,
+    shade_slope,
+    solve_shades,
+)
 from .stretch_sums import SATURATED_PART, median_size, robust_scale
 
 PURE_SHARE = 0.98
 """Share of the die behind a pixel from which it shows a part of the surface alone."""
-OUTSIDE_SHARE = 0.02
-"""Share of it below which a pixel shows the background alone."""
 GRAIN_SHARE = 0.02
 """Standard deviation of grain, as a share of the mean brightness, which the scale of the residuals multiplies."""
-SHADE_DEVIATION = 0.15
-"""Standard deviation of the shade of the background beside the die: soft shadows."""
 DEVIATION_FACTOR = 1.6
 """Deviation of a part of the surface from the light, over that which the light states: highlights on bevels."""
-MARK_SIGMAS = 3.0
-"""Distance of a pixel from the mean of its part, in standard deviations, at which it has half a weight: a mark."""
-SHADOW_SHARE = 0.05
-"""Difference of a pixel from the shaded background, as a share of it, that is added to these."""
-REWEIGHTINGS = 5
-"""Iterations of these weights."""
 SCALE_CELLS = 128
 """Cells of the histogram from which the median of residuals is found."""
 CELL_SIGMAS = 0.0625
@@ -113,8 +114,6 @@ CLEAR_PART = 0.3
 LEAST_CHANCE = 0.5
 """Least count of a pixel of the contour that may be clear. Others count with their chance to be: on a table as bright as a face a
 true pose shows a third of its contour. With less, the few clear pixels of a pose on the bare table weigh too much."""
-LEAST_NOISE_GREY = 0.5
-"""Least noise that these weights assume."""
 WITHIN_DIE_PX = 2.0
 """Depth within the contour from which pixels give the mean grey of the die."""
 LEAST_PX = 30.0
@@ -180,13 +179,19 @@ def add_surface_equations(
     grid = new_surface_grid(box)
     pieces = fill_changes(view, model, pose, sampling, background, work, grid)
     draw_surface(view, model, pose, sampling, work, grid)
-    shades, residual = np.ones(pieces), np.zeros(grid.part.shape)
+    shades, residual = np.zeros((pieces, 2)), np.zeros(grid.part.shape)
+    shades[:, 0] = 1.0
     corner = (wx, wy)
     settings = model.settings
     of_clip = (view, settings.noise_grey, settings.saturation_grey)
-    _solve_deviations(image, background, corner, grid, of_clip, work, shades)
-    if _fill_residuals(image, background, corner, grid, shades, settings.saturation_grey, residual):
-        _add_pixels(image, background, corner, grid, (shades, residual), (view, model, pose, sampling), work, equations)
+    _solve_deviations(image, corner, grid, of_clip, work)
+    slope = shade_slope(model, view, pose.position, pose.position[2])
+    known = solve_shades(image, background, corner, grid, (settings.noise_grey, sampling.blur_px, slope), shades)
+    limits = (settings.saturation_grey, sampling.blur_px)
+    if _fill_residuals(image, background, corner, grid, shades, limits, residual):
+        _add_pixels(
+            image, background, corner, grid, (shades, known, residual), (view, model, pose, sampling), work, equations
+        )
 
 
 @inner_nogil
@@ -208,47 +213,32 @@ def _begin_light(
 
 
 @inner_nogil
-def _solve_deviations(
-    image: Any, background: Any, corner: Any, grid: SurfaceGrid, of_clip: Any, work: Workspace, shades: Any
-) -> None:
-    """Solve for the deviation of each part of the surface from the light, by pixels that show it alone, and for the shade
-    (pieces,) of the background beside each piece of the contour, with Cauchy's weights: marks may cover half of a flat face.
-    What the deviations change is added to the glow of pixels."""
+def _solve_deviations(image: Any, corner: Any, grid: SurfaceGrid, of_clip: Any, work: Workspace) -> None:
+    """Solve for the deviation of each part of the surface from the light, by pixels that show it alone, with Cauchy's weights:
+    marks may cover half of a flat face. What the deviations change is added to the glow of pixels."""
     (wx, wy), (view, noise_grey, saturation), light = corner, of_clip, work.light
     level, deviation, before = light.level[view], DEVIATION_FACTOR * light.deviation[view], light.part_deviation[view]
-    noise2 = max(noise_grey, LEAST_NOISE_GREY) ** 2
-    v = noise2 + (GRAIN_SHARE * level) ** 2
+    v = max(noise_grey, LEAST_NOISE_GREY) ** 2 + (GRAIN_SHARE * level) ** 2
     # After the first step of a picture the equations have solved for the deviations, together with the pose.
     change, first = np.zeros(before.shape[0]), light.part_matrix[view, 0, 0] == 0.0
     if first:
         _fill_median_changes(image, corner, grid, level, change)
-    for _ in range(REWEIGHTINGS):
+    for _ in range(REWEIGHTINGS if first else 0):
         sums, number = np.zeros(len(change)), np.zeros(len(change))
-        top, bottom = np.zeros(len(shades)), np.zeros(len(shades))
         for i in range(grid.part.shape[0]):
             for j in range(grid.part.shape[1]):
-                k, part = grid.side[i, j], grid.part[i, j]
-                if k == NOTHING:
-                    continue
-                value, under = image[grid.y0 + i - wy, grid.x0 + j - wx], background[grid.y0 + i, grid.x0 + j]
-                if grid.share[i, j] > PURE_SHARE and part != NOTHING:
+                part = grid.part[i, j]
+                if grid.side[i, j] != NOTHING and grid.share[i, j] > PURE_SHARE and part != NOTHING:
+                    value = image[grid.y0 + i - wy, grid.x0 + j - wx]
                     e = value - grid.glow[i, j]
                     if value >= saturation and e < change[part]:
                         continue
                     weight = 1.0 / (1.0 + (e - change[part]) ** 2 / (MARK_SIGMAS * MARK_SIGMAS * v))
                     sums[part] += weight * e
                     number[part] += weight
-                elif grid.share[i, j] < OUTSIDE_SHARE:
-                    e = value - shades[k] * under
-                    weight = 1.0 / (1.0 + e * e / (MARK_SIGMAS * MARK_SIGMAS * noise2 + (SHADOW_SHARE * under) ** 2))
-                    top[k] += weight * under * value
-                    bottom[k] += weight * under * under
-        for k in range(len(change) if first else 0):
+        for k in range(len(change)):
             tied = v / (deviation * deviation)
             change[k] = (sums[k] - tied * before[k]) / (number[k] + tied)
-        tied = noise2 / SHADE_DEVIATION**2
-        for k in range(len(shades)):
-            shades[k] = (top[k] + tied) / (bottom[k] + tied)
     for k in range(len(change)):
         before[k] += change[k]
     for i in range(grid.part.shape[0]):
@@ -286,15 +276,16 @@ def _fill_median_changes(image: Any, corner: Any, grid: SurfaceGrid, level: floa
 
 @inner_nogil
 def _fill_residuals(
-    image: Any, background: Any, corner: Any, grid: SurfaceGrid, shades: Any, saturation: float, residual: Any
+    image: Any, background: Any, corner: Any, grid: SurfaceGrid, shades: Any, limits: Any, residual: Any
 ) -> bool:
     """Fill what the picture differs from the predicted one (rows, columns) [grey], 0 for a saturated pixel that is predicted to
     be as bright or brighter; false if the prediction is none."""
+    saturation, blur_px = limits
     for i in range(grid.part.shape[0]):
         for j in range(grid.part.shape[1]):
             k = grid.side[i, j]
             if k != NOTHING:
-                under = shades[k] * background[grid.y0 + i, grid.x0 + j]
+                under = shade_at(grid, shades, i, j, blur_px) * background[grid.y0 + i, grid.x0 + j]
                 value = image[grid.y0 + i - corner[1], grid.x0 + j - corner[0]]
                 residual[i, j] = value - grid.glow[i, j] - (1.0 - grid.share[i, j]) * under
                 if not abs(residual[i, j]) < LARGEST_RESIDUAL_GREY:
@@ -309,8 +300,8 @@ def _add_pixels(
     image: Any, background: Any, corner: Any, grid: SurfaceGrid, solved: Any, scene: Any, work: Workspace,
     equations: NormalEquations,
 ) -> None:  # fmt: skip
-    """Add the pixels, with what parts of the surface deviate eliminated, and then the light."""
-    (shades, residual), (view, model, pose, sampling), light = solved, scene, work.light
+    """Add the pixels, with the shades and what parts of the surface deviate eliminated, and then the light."""
+    (shades, known, residual), (view, model, pose, sampling), light = solved, scene, work.light
     level, cost = light.level[view], light.surface_cost[view]
     settings, nf, deviations = model.settings, model.shape.normals.shape[0], light.part_deviation[view]
     parts = deviations.shape[0]
@@ -324,6 +315,9 @@ def _add_pixels(
     independent = _independent_share(grid, residual, (noise2 * scale * scale, grain2 * scale * scale), nf)
     shared, right = np.zeros((_ALL, _ALL)), np.zeros(_ALL)
     tie, by, left, of_face = np.zeros((parts, parts)), np.zeros((parts, _ALL)), np.zeros(parts), np.zeros((nf, 2))
+    shade_by, shade_parts = np.zeros((len(shades), 2, _ALL)), np.zeros((len(shades), 2, parts))
+    shade_left, effect = np.zeros((len(shades), 2)), np.zeros(2)
+    known *= independent
     row, top = np.zeros(_ALL), used_columns(sampling)
     blur = blur_of_pixels(view, model, pose, sampling.blur_px)
     slope, shown, shares = np.zeros(3 + LIGHT_TERMS), np.zeros(SHOWN_PARTS, np.int64), np.zeros(SHOWN_PARTS)
@@ -334,7 +328,7 @@ def _add_pixels(
             if k == NOTHING:
                 continue
             w, e, part = grid.share[i, j], residual[i, j], grid.part[i, j]
-            under = shades[k] * background[grid.y0 + i, grid.x0 + j]
+            under = shade_at(grid, shades, i, j, sampling.blur_px) * background[grid.y0 + i, grid.x0 + j]
             seen = image[grid.y0 + i - corner[1], grid.x0 + j - corner[0]]
             _add_cost(e, w, seen - under, (settings.noise_grey, level), cost)
             if seen >= settings.saturation_grey and e == 0.0:
@@ -349,7 +343,7 @@ def _add_pixels(
                 stats[ROBUST_COST] += 1.0 - q * q * q
                 stats[LOG_NOISE] += 0.5 * log(v) if settings.response == 0.0 else 0.0
             if abs(grid.beyond[i, j, 0]) < 0.5:
-                is_clear, chance = _is_clear(image, background, corner, grid, (i, j), shades[k], limits)
+                is_clear, chance = _is_clear(image, background, corner, grid, (i, j), shades[k, 0], limits)
                 stats[CONTOUR_PX] += 1.0
                 stats[EXPECTED_CLEAR_PX] += max(chance, LEAST_CHANCE)
                 if is_clear:
@@ -384,6 +378,18 @@ def _add_pixels(
                     tie[f, shown[q]] += t * shares[q]
                 for a in range(_ALL):
                     by[f, a] += t * row[a]
+            effect[0] = (1.0 - w) * background[grid.y0 + i, grid.x0 + j]
+            effect[1] = effect[0] * distance_seen_px(grid.beyond[i, j, 0], sampling.blur_px)
+            known[k, 0] += iv * effect[0] * effect[0]
+            known[k, 1] += iv * effect[0] * effect[1]
+            known[k, 2] += iv * effect[1] * effect[1]
+            for b in range(2):
+                t = iv * effect[b]
+                shade_left[k, b] += t * e
+                for a in range(_ALL):
+                    shade_by[k, b, a] += t * row[a]
+                for q in range(count):
+                    shade_parts[k, b, shown[q]] += t * shares[q]
     stats[STRETCHES] += 1.0
     if settings.response > 0.0:
         stats[LOG_NOISE] += _file_log_noise(image, corner, grid, residual, settings, nf)
@@ -394,6 +400,7 @@ def _add_pixels(
             left[f] += of_face[f, 1]
             for a in range(_ALL):
                 by[f, a] += of_face[f, 0] * row[a]
+    eliminate_shades((known, shade_by, shade_parts, shade_left), (tie, by, left), shared, right)
     if not _eliminate_deviations(view, light, 1.0 / (deviation * deviation), (tie, by, left), shared, right):
         return
     clear_light(view, light)

@@ -59,6 +59,10 @@ LEAST_NOISE_GREY = 0.5
 """Least noise of a stretch of edge: rounding to whole grey levels leaves 0.3."""
 NOISE_FLOOR_SHARE = 0.5
 """The same, in the noise of the still background."""
+SHADE_CHANGE = 1.5
+"""Standard deviation of the change of the shade on the background over a length of a circumradius and the height above the table:
+the soft shadow of a die, and what it hides of the light from all sides, are as wide as that. Twice of what rendered clips show.
+Without a slope the contours of dark dice near a light table were found 0.15 px too far out."""
 ROUNDED_TRACKING_STEPS = 2
 """Factor on the steps while a rounded die is tracked: the unknown intensities of its strips make the steps shorter."""
 ROUNDED_IN_MIRROR = 0.001
@@ -187,6 +191,7 @@ class View:
             light=self.light,
             whole_surface=True,
             contour_stretch_px=STRETCH_PX,
+            shade_change=SHADE_CHANGE,
             response=0.0,
             full_scale=1.0,
             file_scale=1.0,

@@ -175,6 +175,9 @@ class RefinementSettings(NamedTuple):
     """Whether all pixels of a well-rounded die are compared, or its edges alone."""
     contour_stretch_px: float
     """Length of contour of a sharp die that shares one shade of the background."""
+    shade_change: float
+    """Standard deviation of the change of the shade on the background beside a contour, over a length of a circumradius and the
+    height above the table."""
     response: float
     """Exponent of the response, grey = light ** response, if the statistics shall state the noise in the file's grey levels, in
     which clips that were mapped by different responses compare; 0: the noise in the clip's own levels."""
@@ -346,6 +349,12 @@ class Workspace(NamedTuple):
     """(4, MAX_STRETCH_PIXELS) dφ/dd."""
     basis_blur: Any
     """(4, MAX_STRETCH_PIXELS) dφ/dσ."""
+    ramp: Any
+    """(MAX_STRETCH_PIXELS,) what each pixel beside a contour gets of the slope of the shade on the background [px]."""
+    ramp_by_intensities: Any
+    """(4,) coupling of the slope to the intensities of a stretch."""
+    ramp_by_parameters: Any
+    """(PARAMETERS,) coupling of the parameters to the slope."""
     grey: Any
     """(MAX_STRETCH_PIXELS,) observed; the next four alike."""
     weight: Any
@@ -421,7 +430,8 @@ def new_workspace(shape: Shape, rig: CameraRig) -> Workspace:
         np.zeros((nv, 2)), np.zeros((nv, 3)), np.zeros((nv, 3)), np.zeros((nf, 3)), np.zeros(nf), np.zeros((2, 3)),
         np.zeros(3), np.zeros(STRIP_CELLS + 1),
         np.zeros((STRIP_CELLS + 1, 5)), np.zeros(5), np.zeros(3), np.zeros((ne, 5)), np.zeros(most),
-        np.zeros((4, most)), np.zeros((4, most)), np.zeros((4, most)), np.zeros(most), np.zeros(most), np.zeros(most),
+        np.zeros((4, most)), np.zeros((4, most)), np.zeros((4, most)), np.zeros(most), np.zeros(4), np.zeros(PARAMETERS),
+        np.zeros(most), np.zeros(most), np.zeros(most),
         np.zeros(most), np.zeros(most), np.zeros(most), np.zeros(most), np.zeros((2, shape.face_edges.shape[1], 5)),
         np.zeros(MAX_STRETCH_ROWS, np.int64),
         np.zeros((MAX_STRETCH_ROWS, PARAMETERS)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((PARAMETERS, 4)), np.zeros(4),

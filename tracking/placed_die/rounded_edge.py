@@ -99,8 +99,8 @@ def fill_strip_lines(gradient: Any, n0: Any, end: Any, angle: float, radius: flo
 @inner_no_memory
 def fill_rounded_basis(d: float, blur: float, shade: float, with_blur: bool, work: Workspace, n: int) -> float:
     """Fill the basis functions of pixel n at distance d [px] from a rounded edge, their derivatives by d and, if
-    `with_blur`, by the blur. `shade` is what multiplies the far side. Returns what the basis functions leave of the
-    brightness at the pixel [grey], and fills its derivative by d.
+    `with_blur`, by the blur. `shade` is what multiplies the far side, of whose slope the pixel gets `ramp`. Returns what the
+    basis functions leave of the brightness at the pixel [grey], and fills its derivative by d.
     """
     slopes, jump, lines = work.strip_slopes, work.strip_jump, work.strip_lines
     phi, slope, spread = work.basis, work.basis_slope, work.basis_blur
@@ -117,6 +117,7 @@ def fill_rounded_basis(d: float, blur: float, shade: float, with_blur: bool, wor
         s0, s1, s2, s3, s4 = s0 + v0 * a, s1 + v1 * a, s2 + v2 * a, s3 + v3 * a, s4 + v4 * a
         if with_blur:
             b0, b1, b2, b3 = b0 + v0 * p, b1 + v1 * p, b2 + v2 * p, b3 + v3 * p
+    work.ramp[n] = shade * blur * (t * a + p)
     v0, v1, v2, v3, v4 = jump[0], jump[1], jump[2], jump[3], jump[4]
     f0, f1, f2, f3, f4 = f0 + v0 * a, f1 + v1 * a, f2 + v2 * a, f3 + v3 * a, f4 + v4 * a
     p *= ib
@@ -132,9 +133,9 @@ def fill_rounded_basis(d: float, blur: float, shade: float, with_blur: bool, wor
 
 
 @inner_fast_sums_no_memory
-def fill_sharp_basis(n: int, near: Any, far: Any, near_slope: Any, far_slope: Any) -> None:
+def fill_sharp_basis(n: int, near: Any, far: Any, near_slope: Any, far_slope: Any, ramp: Any) -> None:
     """Fill the basis functions of two intensities at n pixels beside sharp edges, and their derivatives by the
-    distance.
+    distance; `ramp` is what a pixel gets of the slope of the far one.
 
     They replace the distance in blurs (`near`), the factor on the far side (`far`), and one over the blur
     (`near_slope`). The arithmetic is that of `_blurred_step` without branches, for several pixels at once.
@@ -144,7 +145,9 @@ def fill_sharp_basis(n: int, near: Any, far: Any, near_slope: Any, far_slope: An
         k = int(x)
         x -= k
         a = _CUMULATIVE[k] + x * (_CUMULATIVE[k + 1] - _CUMULATIVE[k])
-        p = (_DENSITY[k] + x * (_DENSITY[k + 1] - _DENSITY[k])) * near_slope[i]
+        density = _DENSITY[k] + x * (_DENSITY[k + 1] - _DENSITY[k])
+        p = density * near_slope[i]
+        ramp[i] = far[i] * (near[i] * a + density) / near_slope[i]
         near_slope[i], far_slope[i] = -p, p * far[i]
         near[i], far[i] = 1.0 - a, a * far[i]
 
