@@ -1,10 +1,10 @@
 """Compiled kernels of the motion of a die: flight, impact, held contact, the event loop, and derivatives of them.
 
-`flight` moves a free die to its first touch (`air`: with drag), `impact` has the impulse of every law and its derivatives,
-`friction_impulse` that of Coulomb friction, `inertia` how dice answer an impulse and move without one, `held_contact` and
-`sliding_contact` follow lasting contact, `rest` decides the end, `event_loop` runs a throw, and `log` records it. `types` has
-states, codes and constants. The functions of `throw`, `laws` and `ensembles` call these kernels. A die with one moment of inertia
-is followed by the files of this folder, any other by `asymmetric`; derivatives of both are in `derivatives`.
+`flight` moves a free die to its first touch (`air`: with drag), `impact` has the impulse of every law, `friction_impulse` that of
+Coulomb friction, `inertia` how dice answer an impulse and move without one, `held_contact` and `sliding_contact` follow lasting
+contact, `rest` decides the end, `event_loop` runs a throw, and `log` records it. `types` has states, codes and constants. The
+functions of `throw`, `laws` and `ensembles` call these kernels. A die with one moment of inertia is followed by the files of this
+folder, any other by `asymmetric`; derivatives of both are in `derivatives`.
 """
 
 from .air import Air as Air
@@ -26,9 +26,7 @@ from .friction_impulse import coefficient_at_speed as coefficient_at_speed
 from .friction_impulse import friction_impulse as friction_impulse
 from .held_contact import contact_step as contact_step
 from .held_contact import step_workspace as step_workspace
-from .impact import ParameterDerivatives as ParameterDerivatives
 from .impact import impulse as impulse
-from .impact import impulse_gradient as impulse_gradient
 from .inertia import EvenInertia as EvenInertia
 from .inertia import TensorInertia as TensorInertia
 from .inertia import contact_matrix as contact_matrix

@@ -243,8 +243,7 @@ def run_throw(
             else:
                 struck = -struck
                 x, y, z = lever_arm(body.vertices[hit], state)
-                arm = (x, y, z - body.corner_radius)
-                apply_impact(law, body.mass, body.inertia, arm, table_velocity(plane, time), state)
+                apply_impact(body, law, (x, y, z - body.corner_radius), table_velocity(plane, time), state)
             i, j = NONE, NONE
             impacts += 1
             last_energetic_time = last_energetic_time if fixed else time

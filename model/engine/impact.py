@@ -1,13 +1,12 @@
-"""The impulse of an impact on a die with one moment of inertia, and its derivatives.
+"""The impulse of an impact of one vertex, by every law: a function of the contact matrix M and of the contact velocity c.
 
-Smooth: S_z = -(1 + χ) u/(1/m + (x² + y²)/J) for an arm (x, y, z) and a normal velocity u relative to the table. With friction
-the impulse is that of `friction_impulse`. In laws by speed χ, and μ, fade with |u|. The velocities change by Δv = S/m, Δω =
-(r × S)/J. At the end stand impacts of several vertices at once, without friction (`throw.touch`).
+Smooth: S_z = -(1 + χ) c_z/M_zz; for an arm (x, y, z) of a die with one moment of inertia J, M_zz = 1/m + (x² + y²)/J. With
+friction the impulse is that of `friction_impulse`. In laws by speed χ, and μ, fade with |c_z|. Its derivatives are in
+`derivatives.impulse_gradient`. At the end stand impacts of several vertices at once, without friction (`throw.touch`).
 """
 
 from __future__ import annotations
 
-from math import sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,13 +19,13 @@ from .friction_impulse import coefficient_at_speed, friction_impulse
 from .inertia import spherical_contact_matrix
 from .types import (
     COULOMB,
-    COULOMB_BY_SPEED,
     COULOMB_FADING,
     SMOOTH_BY_SPEED,
     Array,
     Body,
     Indices,
     Law,
+    Matrix6,
     Plane,
     RoughLaw,
     Vector,
@@ -47,95 +46,6 @@ def restitution_at(law: Law, u: float) -> float:
     return law.parameters[0]
 
 
-@compiled
-def smooth_impulse(
-    law: Law, mass: float, inertia: float, arm: tuple[float, float, float], v_table: float, state: Array
-) -> tuple[float, float, float]:
-    """`impulse` of a law without friction."""
-    x, y, _ = arm
-    u = state[9] + state[10] * y - state[11] * x - v_table
-    return 0.0, 0.0, -(1.0 + restitution_at(law, u)) * u / (1.0 / mass + (x * x + y * y) / inertia)
-
-
-@compiled
-def rough_impulse(
-    law: Law, mass: float, inertia: float, arm: tuple[float, float, float], v_table: float, state: Array
-) -> tuple[float, float, float]:
-    """`impulse` of a law with friction."""
-    x, y, z = arm
-    u = state[9] + state[10] * y - state[11] * x - v_table
-    chi = law.parameters[0]
-    mu = law.parameters[1]
-    if law.code != COULOMB:
-        chi = coefficient_at_speed(chi, max(-u, 0.0), law.parameters[3], law.parameters[4])
-    if law.code == COULOMB_FADING:
-        mu = coefficient_at_speed(mu, max(-u, 0.0), law.parameters[5], law.parameters[6])
-    cx, cy = state[7] + state[11] * z - state[12] * y, state[8] + state[12] * x - state[10] * z
-    matrix = spherical_contact_matrix(mass, inertia, x, y, z)
-    return friction_impulse(matrix, chi, mu, int(law.parameters[2]), cx, cy, u)
-
-
-def impulse(
-    law: Law, mass: float, inertia: float, arm: tuple[float, float, float], v_table: float, state: Array
-) -> tuple[float, float, float]:
-    """Impulse [N s] of the table on a touching point at `arm` [m] from the centre of mass; `v_table` [m/s] is vertical."""
-    if isinstance(law, RoughLaw):
-        return rough_impulse(law, mass, inertia, arm, v_table, state)
-    return smooth_impulse(law, mass, inertia, arm, v_table, state)
-
-
-@overload(impulse, strict=False)
-def _impulse_of(law: Any, mass: Any, inertia: Any, arm: Any, v_table: Any, state: Any) -> Any:
-    """The branch of `impulse` that the type of the law asks for, chosen when it is compiled."""
-    chosen = rough_impulse if law.instance_class is RoughLaw else smooth_impulse
-    return chosen.py_func
-
-
-@inner
-def apply_impact(
-    law: Law, mass: float, inertia: float, arm: tuple[float, float, float], v_table: float, state: Array
-) -> None:
-    """Apply the law to the velocities of the state, in place: Δv = S/m, Δω = (r × S)/J."""
-    sx, sy, sz = impulse(law, mass, inertia, arm, v_table, state)
-    x, y, z = arm
-    state[7] += sx / mass
-    state[8] += sy / mass
-    state[9] += sz / mass
-    state[10] += (y * sz - z * sy) / inertia
-    state[11] += (z * sx - x * sz) / inertia
-    state[12] += (x * sy - y * sx) / inertia
-
-
-class ParameterDerivatives(NamedTuple):
-    """Derivatives of what the kernels are given, by each of the m parameters of a throw."""
-
-    chi: Array
-    """(m,) of the restitution, of the slowest impacts where it fades with speed."""
-    mu: Array
-    """(m,) of the coefficient of friction."""
-    speed_scale: Array
-    """(m,) [m/s] of the speed scale of χ."""
-    inertia: Array
-    """(m,) [kg m²]."""
-    corner_radius: Array
-    """(m,) [m]."""
-    vertices: Array
-    """(m, n, 3) [m] of the vertices, body axes."""
-    gravity: Array
-    """(m, 3) [m/s²], axes of the table."""
-    table: Array
-    """(m, 3) of amplitude, rate and phase of the table's motion."""
-
-
-DIFFERENCE_STEP = 1e-5
-"""Step of the differences through an impact with friction, in units of radius of gyration, contact velocity, or 1. Its
-square, and rounding over it, are both 1e-10. A higher order would take twice the impacts, and longer steps, which more often
-reach across where the course of the slip changes."""
-
-ARM, VELOCITY, CHI, MU, INERTIA, SPEED_SCALE, INPUTS = 0, 3, 6, 7, 8, 9, 10
-"""Columns of the gradient of an impulse: arm (3), contact velocity (3), and numbers of law and die."""
-
-
 @inner
 def coefficient_gradient(law: Law, at: int, u: float) -> tuple[float, float, float]:
     """χ/χ₀ (or μ/μ₀) of an impact with normal velocity u, and its derivatives by u and by the speed scale.
@@ -146,27 +56,6 @@ def coefficient_gradient(law: Law, at: int, u: float) -> tuple[float, float, flo
     ratio = coefficient_at_speed(1.0, max(-u, 0.0), scale, exponent)
     slope = exponent * ratio / (scale + max(-u, 0.0))
     return ratio, slope, -slope * u / scale
-
-
-@compiled
-def smooth_gradient(
-    law: Law, mass: float, inertia: float, arm: Vector, c: Vector, wanted: tuple[bool, bool], out: Array
-) -> tuple[float, float, float]:
-    """`impulse_gradient` of a law without friction."""
-    x, y, _ = arm
-    u, chi = c[2], law.parameters[0]
-    ratio, by_u, by_scale = 1.0, 0.0, 0.0
-    if law.code == SMOOTH_BY_SPEED:
-        ratio, by_u, by_scale = coefficient_gradient(law, 1, u)
-    softness = 1.0 / mass + (x * x + y * y) / inertia
-    s = -(1.0 + chi * ratio) * u / softness
-    out[:] = 0.0
-    out[2, ARM], out[2, ARM + 1] = -2.0 * s * x / (inertia * softness), -2.0 * s * y / (inertia * softness)
-    out[2, VELOCITY + 2] = -(1.0 + chi * ratio + chi * by_u * u) / softness
-    out[2, CHI] = -ratio * u / softness
-    out[2, INERTIA] = s * (x * x + y * y) / (inertia * inertia * softness)
-    out[2, SPEED_SCALE] = -chi * by_scale * u / softness
-    return 0.0, 0.0, s
 
 
 class RoughNow(NamedTuple):
@@ -195,95 +84,46 @@ def rough_law_at(law: Law, u: float) -> RoughNow:
     return RoughNow(chi, mu, ratio, by_u, by_scale, mu_by_u)
 
 
-@inner
-def difference_weight(forward: bool, n: int, step: float) -> tuple[float, float]:
-    """Weight and place of the n-th of three points of a difference of the second order, central or forward."""
-    if forward:
-        return (-1.5, 2.0, -0.5)[n] / step, n * step
-    return (-0.5, 0.0, 0.5)[n] / step, (n - 1) * step
-
-
-@inner
-def complete_columns(law: Law, now: RoughNow, c: Vector, impulse_now: Vector, out: Array) -> None:
-    """Fill the columns that follow from the others: of the normal velocity, since S is proportional to c, of the speed scale,
-    and of χ₀ for χ."""
-    for m in range(3):
-        along = c[0] * out[m, VELOCITY] + c[1] * out[m, VELOCITY + 1]
-        out[m, VELOCITY + 2] = (impulse_now[m] - along) / c[2] + out[m, CHI] * law.parameters[0] * now.by_u
-        if law.code == COULOMB_FADING:
-            out[m, VELOCITY + 2] += out[m, MU] * now.mu_by_u
-        out[m, SPEED_SCALE] = out[m, CHI] * law.parameters[0] * now.by_scale
-        out[m, CHI] *= now.ratio
+@compiled
+def smooth_impulse(law: Law, matrix: Matrix6, c: Vector) -> Vector:
+    """`impulse` of a law without friction."""
+    return 0.0, 0.0, -(1.0 + restitution_at(law, c[2])) * c[2] / matrix[5]
 
 
 @compiled
-def rough_gradient(
-    law: Law, mass: float, inertia: float, arm: Vector, c: Vector, wanted: tuple[bool, bool], out: Array
-) -> tuple[float, float, float]:
-    """`impulse_gradient` of a law with friction: differences of the second order of this one impact.
-
-    Two rules spare a quarter of them: S is proportional to c, and does not change when r grows with √J.
-    """
-    now, ending = rough_law_at(law, c[2]), int(law.parameters[2])
-    chi, mu = now.chi, now.mu
-    gyration, speed = sqrt(inertia / mass), sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
-    matrix = spherical_contact_matrix(mass, inertia, arm[0], arm[1], arm[2])
-    sx, sy, sz = friction_impulse(matrix, chi, mu, ending, c[0], c[1], c[2])
-    out[:] = 0.0
-    there, input_of = np.empty(8), (arm[0], arm[1], arm[2], c[0], c[1], c[2], chi, mu)
-    for k in range(8):
-        if k == VELOCITY + 2 or (k == CHI and not wanted[0]) or (k == MU and not wanted[1]):
-            continue
-        step = DIFFERENCE_STEP * (gyration if k < VELOCITY else (speed if k < CHI else 1.0))
-        # Neither χ nor μ can be less than 0: forward from there.
-        forward = k >= CHI and input_of[k] < step
-        for n in range(3):
-            weight, at = difference_weight(forward, n, step)
-            if weight == 0.0:
-                continue
-            for i in range(8):
-                there[i] = input_of[i]
-            there[k] += at
-            if k < VELOCITY:
-                matrix = spherical_contact_matrix(mass, inertia, there[0], there[1], there[2])
-            else:
-                matrix = spherical_contact_matrix(mass, inertia, arm[0], arm[1], arm[2])
-            px, py, pz = friction_impulse(matrix, there[6], there[7], ending, there[3], there[4], there[5])
-            out[0, k] += weight * px
-            out[1, k] += weight * py
-            out[2, k] += weight * pz
-    complete_columns(law, now, c, (sx, sy, sz), out)
-    for m in range(3):
-        stretched = arm[0] * out[m, ARM] + arm[1] * out[m, ARM + 1] + arm[2] * out[m, ARM + 2]
-        out[m, INERTIA] = -0.5 * stretched / inertia
-    return sx, sy, sz
+def rough_impulse(law: Law, matrix: Matrix6, c: Vector) -> Vector:
+    """`impulse` of a law with friction."""
+    now = rough_law_at(law, c[2])
+    return friction_impulse(matrix, now.chi, now.mu, int(law.parameters[2]), c[0], c[1], c[2])
 
 
-def impulse_gradient(
-    law: Law, mass: float, inertia: float, arm: Vector, c: Vector, wanted: tuple[bool, bool], out: Array
-) -> tuple[float, float, float]:
-    """`impulse` on a contact with velocity `c` relative to the table, and its derivatives in `out` (3, INPUTS).
-
-    The derivatives are by the arm (3), the contact velocity (3), χ₀, μ, inertia and speed scale. `wanted` says
-    whether the columns of χ and of μ are used; see `wanted_columns`.
-    """
+def impulse(law: Law, matrix: Matrix6, c: Vector) -> Vector:
+    """Impulse [N s] of the table on a contact with the velocity c [m/s] relative to it, c_z < 0, and a contact matrix [1/kg]."""
     if isinstance(law, RoughLaw):
-        return rough_gradient(law, mass, inertia, arm, c, wanted, out)
-    return smooth_gradient(law, mass, inertia, arm, c, wanted, out)
+        return rough_impulse(law, matrix, c)
+    return smooth_impulse(law, matrix, c)
 
 
-@overload(impulse_gradient, strict=False)
-def _impulse_gradient_of(law: Any, mass: Any, inertia: Any, arm: Any, c: Any, wanted: Any, out: Any) -> Any:
-    """The branch of `impulse_gradient` that the type of the law asks for, chosen when it is compiled."""
-    chosen = rough_gradient if law.instance_class is RoughLaw else smooth_gradient
+@overload(impulse, strict=False)
+def _impulse_of(law: Any, matrix: Any, c: Any) -> Any:
+    """The branch of `impulse` that the type of the law asks for, chosen when it is compiled."""
+    chosen = rough_impulse if law.instance_class is RoughLaw else smooth_impulse
     return chosen.py_func
 
 
 @inner
-def wanted_columns(law: Law, chi: bool, mu: bool) -> tuple[bool, bool]:
-    """`wanted` of `impulse_gradient`: whether parameters change χ or μ, or the law makes them change with speed."""
-    by_speed = law.code == SMOOTH_BY_SPEED or law.code == COULOMB_BY_SPEED or law.code == COULOMB_FADING
-    return by_speed or chi, law.code == COULOMB_FADING or mu
+def apply_impact(body: Body, law: Law, arm: Vector, v_table: float, state: Array) -> None:
+    """Apply the law to the velocities of the state, in place, on a touching point at `arm` [m]: Δv = S/m, Δω = (r × S)/J."""
+    x, y, z = arm
+    wx, wy, wz = state[10], state[11], state[12]
+    c = (state[7] + wy * z - wz * y, state[8] + wz * x - wx * z, state[9] + wx * y - wy * x - v_table)
+    sx, sy, sz = impulse(law, spherical_contact_matrix(body.mass, body.inertia, x, y, z), c)
+    state[7] += sx / body.mass
+    state[8] += sy / body.mass
+    state[9] += sz / body.mass
+    state[10] += (y * sz - z * sy) / body.inertia
+    state[11] += (z * sx - x * sz) / body.inertia
+    state[12] += (x * sy - y * sx) / body.inertia
 
 
 # --- Several vertices at once ---

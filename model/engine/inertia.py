@@ -8,7 +8,7 @@ their states have ω.
 
 from __future__ import annotations
 
-from math import sqrt
+from math import inf, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +17,7 @@ from numba.extending import overload
 from ..compiled import compiled, inner
 from .flight import advance, spin_rate
 from .runge_kutta import STAGES, START, VALUES, stage_values
-from .types import Array, AsymmetricBody, Body, Matrix6, Plane
+from .types import Array, AsymmetricBody, Body, Matrix6, Plane, Vector
 
 TURN_SIZE = 4
 """Numbers that a step of the free rotation integrates: the quaternion."""
@@ -202,6 +202,69 @@ def matrix_at(inertia: EvenInertia | TensorInertia, x: float, y: float, z: float
 def _matrix_at(inertia: Any, x: Any, y: Any, z: Any) -> Any:
     """The branch of `matrix_at`, as that of `inertia_of`."""
     return (tensor_matrix if inertia.instance_class is TensorInertia else even_matrix).py_func
+
+
+@inner
+def even_matrix_changes(inertia: EvenInertia, arm: Vector, out: Array) -> None:
+    """`matrix_changes` of a die with one moment of inertia."""
+    x, y, z = arm[0] / inertia.moment, arm[1] / inertia.moment, arm[2] / inertia.moment
+    out[0, 0], out[0, 1], out[0, 2], out[0, 3], out[0, 4], out[0, 5] = 0.0, -y, -z, 2.0 * x, 0.0, 2.0 * x
+    out[1, 0], out[1, 1], out[1, 2], out[1, 3], out[1, 4], out[1, 5] = 2.0 * y, -x, 0.0, 0.0, -z, 2.0 * y
+    out[2, 0], out[2, 1], out[2, 2], out[2, 3], out[2, 4], out[2, 5] = 2.0 * z, 0.0, -x, 2.0 * z, -y, 0.0
+    for i in range(6):
+        # M - 1/m is quadratic in the arm, over the moment of inertia.
+        out[3, i] = -0.5 * (x * out[0, i] + y * out[1, i] + z * out[2, i])
+
+
+@inner
+def tensor_matrix_changes(inertia: TensorInertia, arm: Vector, out: Array) -> None:
+    """`matrix_changes` of any other die."""
+    (x, y, z), w = arm, inertia.inverse
+    for k in range(7):
+        for i in range(6):
+            out[k, i] = 0.0
+    # M is quadratic in the arm: a difference over any step is exact.
+    step = sqrt(x * x + y * y + z * z)
+    for side in (-1.0, 1.0):
+        if step > 0.0:
+            h, weight = side * step, 0.5 * side / step
+            _add_to_row(out, 0, contact_matrix(inertia.mass, w, x + h, y, z), weight)
+            _add_to_row(out, 1, contact_matrix(inertia.mass, w, x, y + h, z), weight)
+            _add_to_row(out, 2, contact_matrix(inertia.mass, w, x, y, z + h), weight)
+    # M - 1/m is linear in W. Larger moments change W by -W², a turn about an axis e by [e]× W - W [e]×.
+    change = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            change[i, j] = -(w[i, 0] * w[0, j] + w[i, 1] * w[1, j] + w[i, 2] * w[2, j])
+    _add_to_row(out, 3, contact_matrix(inf, change, x, y, z), 1.0)
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        change[k, k], change[i, i], change[j, j] = 0.0, -2.0 * w[i, j], 2.0 * w[i, j]
+        change[i, j], change[i, k], change[j, k] = w[i, i] - w[j, j], -w[j, k], w[i, k]
+        change[j, i], change[k, i], change[k, j] = change[i, j], change[i, k], change[j, k]
+        _add_to_row(out, 4 + k, contact_matrix(inf, change, x, y, z), 1.0)
+
+
+@inner
+def _add_to_row(out: Array, row: int, matrix: Matrix6, weight: float) -> None:
+    """Add a matrix with a weight to a row (6,)."""
+    for i in range(6):
+        out[row, i] += weight * matrix[i]
+
+
+def matrix_changes(inertia: EvenInertia | TensorInertia, arm: Vector, out: Array) -> None:
+    """Fill `out` with the derivatives of the contact matrix of a contact at `arm` [m]: by the three components of the arm, by all
+    moments of inertia [kg m²] alike and, of a tensor, by a rotation vector (3) that turns it: (4, 6) or (7, 6)."""
+    if isinstance(inertia, TensorInertia):
+        tensor_matrix_changes(inertia, arm, out)
+    else:
+        even_matrix_changes(inertia, arm, out)
+
+
+@overload(matrix_changes, strict=False)
+def _matrix_changes(inertia: Any, arm: Any, out: Any) -> Any:
+    """The branch of `matrix_changes`, as that of `inertia_of`."""
+    return (tensor_matrix_changes if inertia.instance_class is TensorInertia else even_matrix_changes).py_func
 
 
 @inner

@@ -7,7 +7,7 @@ An impact is instantaneous. The die keeps its place, and an impulse S acts at th
 with m the mass and J the moment of inertia. The law only gives S.
 
 A new law is a file in this folder with a frozen dataclass that satisfies `ImpactLaw`, a code in `engine/types.py`, a
-branch in `engine.impulse`, and a line in the list of laws that the tests run on.
+branch in `engine.impulse`, one in `engine.derivatives.impulse_gradient`, and a line in the list of laws that the tests run on.
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ class TangentRun(NamedTuple):
     sequence: derivatives.ImpactSequence
     start_jacobian: Array
     """(12, 12 + m) derivatives of the packed start by the start in world axes and the parameters."""
-    parameter_derivatives: engine.ParameterDerivatives
+    parameter_derivatives: derivatives.ParameterDerivatives
 
 
 def run_asymmetric_tangent(

@@ -274,14 +274,14 @@ def _start_jacobian(die: Die, packed: Array, table: Table, parameters: Sequence[
 
 def _parameter_derivatives(
     die: Die, law: ImpactLaw, table: Table, parameters: Sequence[str]
-) -> engine.ParameterDerivatives:
+) -> derivatives.ParameterDerivatives:
     """Derivatives of the inputs of the kernels by each parameter."""
 
     def unit(name: str, acts: bool = True) -> Array:
         """(m,) 1 for the parameter of that name if it acts, otherwise 0."""
         return np.array([1.0 if acts and given == name else 0.0 for given in parameters])
 
-    by_parameter = engine.ParameterDerivatives(
+    by_parameter = derivatives.ParameterDerivatives(
         chi=unit("chi"),
         mu=unit("mu", _has_friction(law)),
         speed_scale=unit("speed_scale_m_s", _depends_on_speed(law)),

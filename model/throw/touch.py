@@ -96,9 +96,7 @@ def next_touch(die: Die, state: State, *, after_s: float = 0.0, until_s: float =
 
 def impulse_N_s(die: Die, touch: Touch, law: ImpactLaw) -> Array:
     """Impulse (3,) [N s] of the table on a spherical top, world axes."""
-    state = touch.state
-    packed = np.concatenate([state.position_m, state.quaternion, state.velocity_m_s, state.omega_rad_s])
-    arm = (float(touch.arm_m[0]), float(touch.arm_m[1]), float(touch.arm_m[2]))
-    return np.array(
-        engine.impulse(engine.law_of(law.code, law.parameters), die.mass_kg, die.inertia_kg_m2, arm, 0.0, packed)
-    )
+    state, arm = touch.state, touch.arm_m
+    matrix = engine.spherical_contact_matrix(die.mass_kg, die.inertia_kg_m2, *arm.tolist())
+    velocity = state.velocity_m_s + np.cross(state.omega_rad_s, arm)
+    return np.array(engine.impulse(engine.law_of(law.code, law.parameters), matrix, tuple(velocity.tolist())))

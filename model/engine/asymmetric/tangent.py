@@ -13,17 +13,26 @@ import numpy as np
 
 from ...compiled import compiled, inner
 from ..derivatives import (
+    ASYMMETRIC_INPUTS,
     SHIFTS,
     Impact,
     ImpactDerivatives,
     ImpactKinematics,
     ImpactSequence,
+    ParameterDerivatives,
+    impact_derivatives,
+    impulse_gradient,
     saltation,
     shifts_at_impact,
 )
 from ..flight import BELOW_TABLE, LEAST_BOUND, is_in_range, lever_arm, table_acceleration, table_velocity
-from ..impact import ParameterDerivatives, wanted_columns
-from ..inertia import angular_velocity_of, attitude_rates, to_angular_momentum, to_angular_velocity
+from ..inertia import (
+    angular_velocity_of,
+    attitude_rates,
+    tensor_inertia,
+    to_angular_momentum,
+    to_angular_velocity,
+)
 from ..log import fill_with_nan, with_room, write_event
 from ..rest import chatter_speed
 from ..runge_kutta import STAGES, START, VALUES, stage_values
@@ -40,11 +49,9 @@ from ..types import (
     Contact,
     Plane,
     Setup,
-    has_friction,
 )
 from .contact import spin_growth_bound
 from .event_loop import next_event
-from .impact import ASYMMETRIC_INPUTS, impulse_gradient
 from .motion import MAX_TURN_RAD, clearance, rotational_energy, state_after_step, vertex_velocity
 
 FIRST_ROWS = 16
@@ -150,7 +157,9 @@ def _impact_with_tangent(
     ox, oy, oz = angular_velocity_of(body, y, y[10], y[11], y[12])
     v_table = table_velocity(plane, time)
     c = (y[7] + oy * z - oz * r, y[8] + oz * x - ox * z, y[9] + ox * r - oy * x - v_table)
-    sx, sy, sz = impulse_gradient(law, body, y, (x, r, z), c, derivatives.wanted, derivatives.gradient)
+    sx, sy, sz = impulse_gradient(
+        law, tensor_inertia(body, y), (x, r, z), c, derivatives.wanted, derivatives.changes, derivatives.gradient
+    )
     tx, ty, tz = r * sz - z * sy, z * sx - x * sz, x * sy - r * sx
     kx, ky, kz = angular_velocity_of(body, y, tx, ty, tz)
     impact = Impact(x, r, z, level, c[2], sx, sy, sz, ox, oy, oz, kx, ky, kz, body.mass, 1.0, 0.0)
@@ -242,8 +251,7 @@ def run_asymmetric_tangent(
     stiffer[12:] = sources.inertia
     slow = chatter_speed(law, plane, precision, body.radius)
     shifts = np.empty((columns - 12, SHIFTS))
-    wanted = wanted_columns(law, np.any(sources.chi), np.any(sources.mu))
-    derivatives = ImpactDerivatives(np.empty((3, ASYMMETRIC_INPUTS)), wanted, has_friction(law), shifts, inf)
+    derivatives = impact_derivatives(law, ASYMMETRIC_INPUTS, np.any(sources.chi), np.any(sources.mu), shifts, inf)
     last = times[n - 1] if n > 0 else start_time
     time, done, impacts, ending, fresh = start_time, 0, 0, TIME_REACHED, True
     while True:

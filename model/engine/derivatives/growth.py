@@ -48,6 +48,7 @@ from ..types import (
     Setup,
     has_friction,
 )
+from .impulse_gradient import INPUTS
 from .linearised_motion import SHIFTS, ImpactKinematics, flight_tangent, impact_derivatives, impact_tangent
 
 NEGLIGIBLE_ROW = 1e-26
@@ -117,7 +118,7 @@ def tangent_between(a: Array, b: Array, weight: float, tangent: Array, j: int) -
 def impact_at_vertex(body: Body, law: Law, plane: Plane, time: float, vertex: int, state: Array) -> None:
     """Apply the law to a vertex on the table, in place."""
     x, y, z = lever_arm(body.vertices[vertex], state)
-    apply_impact(law, body.mass, body.inertia, (x, y, z - body.corner_radius), table_velocity(plane, time), state)
+    apply_impact(body, law, (x, y, z - body.corner_radius), table_velocity(plane, time), state)
 
 
 @inner
@@ -199,7 +200,7 @@ def disturbed_impact(
             + centripetal_acceleration(state, arm)
         )
         reach = 2.0 / max(abs(falling - kinematics.table_acceleration), plane.g)
-    derivatives = impact_derivatives(setup.law, FALSE, FALSE, np.empty((0, SHIFTS)), reach)
+    derivatives = impact_derivatives(setup.law, INPUTS, FALSE, FALSE, np.empty((0, SHIFTS)), reach)
     impact_tangent(setup, vertex, state, kinematics, derivatives, tangent, columns, dtime)
 
 

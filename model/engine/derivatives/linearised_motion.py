@@ -30,9 +30,19 @@ from numba.extending import overload
 
 from ...compiled import inner
 from ..flight import lever_arm, spin_axis
-from ..impact import CHI, INPUTS, ParameterDerivatives, impulse_gradient, wanted_columns
-from ..inertia import angular_velocity_of
+from ..inertia import EvenInertia, angular_velocity_of
 from ..types import Array, AsymmetricBody, Body, Law, Plane, Setup, has_friction
+from .impulse_gradient import (
+    ARM,
+    ATTITUDE,
+    CHI,
+    INPUTS,
+    MATRIX_CHANGES,
+    VELOCITY,
+    ParameterDerivatives,
+    impulse_gradient,
+    wanted_columns,
+)
 
 RAISED, LIFTED, ROUNDER, BY_CHI, BY_MU, BY_INERTIA, BY_SPEED_SCALE, SHIFTS = 3, 4, 5, 6, 7, 8, 9, 10
 """What a parameter changes at an impact: the vertex (3) in table axes, height and velocity of the table, corner radius, and χ,
@@ -124,9 +134,11 @@ class ImpactDerivatives(NamedTuple):
     """Derivatives of the impulse, of what parameters change, and the bound of those of the instant."""
 
     gradient: Array
-    """(3, 10 or 13) of the impulse; only the last row is used unless `rough`."""
+    """(3, INPUTS or ASYMMETRIC_INPUTS) of the impulse; only the last row is used unless `rough`."""
+    changes: Array
+    """(4 or 7, 6) of the contact matrix; see `inertia.matrix_changes`."""
     wanted: tuple[bool, bool]
-    """Columns that are used; see `impact.wanted_columns`."""
+    """Columns that are used; see `wanted_columns`."""
     rough: bool
     """Whether the law has friction."""
     shifts: Array
@@ -136,9 +148,10 @@ class ImpactDerivatives(NamedTuple):
 
 
 @inner
-def impact_derivatives(law: Law, chi: bool, mu: bool, shifts: Array, reach: float) -> ImpactDerivatives:
-    """Room for the derivatives of impacts of a die with one moment of inertia; `chi` and `mu` as in `wanted_columns`."""
-    return ImpactDerivatives(np.empty((3, INPUTS)), wanted_columns(law, chi, mu), has_friction(law), shifts, reach)
+def impact_derivatives(law: Law, inputs: int, chi: bool, mu: bool, shifts: Array, reach: float) -> ImpactDerivatives:
+    """Room for the derivatives of impacts, which have so many `inputs`; `chi` and `mu` as in `wanted_columns`."""
+    gradient, changes = np.empty((3, inputs)), np.empty((inputs - INPUTS + MATRIX_CHANGES, 6))
+    return ImpactDerivatives(gradient, changes, wanted_columns(law, chi, mu), has_friction(law), shifts, reach)
 
 
 @inner
@@ -257,9 +270,9 @@ def saltation(
                 dsy += gradient[1, k] * shift
                 dsz += gradient[2, k] * shift
         if gradient.shape[1] > INPUTS:
-            dsx += gradient[0, INPUTS] * rx + gradient[0, INPUTS + 1] * ry + gradient[0, INPUTS + 2] * rz
-            dsy += gradient[1, INPUTS] * rx + gradient[1, INPUTS + 1] * ry + gradient[1, INPUTS + 2] * rz
-            dsz += gradient[2, INPUTS] * rx + gradient[2, INPUTS + 1] * ry + gradient[2, INPUTS + 2] * rz
+            dsx += _along(gradient, 0, ATTITUDE, rx, ry, rz)
+            dsy += _along(gradient, 1, ATTITUDE, rx, ry, rz)
+            dsz += _along(gradient, 2, ATTITUDE, rx, ry, rz)
         # ... and back: between the two instants the die moved with the velocities before, not those after.
         tangent[0, j] -= sx / mass * late
         tangent[1, j] -= sy / mass * late
@@ -277,12 +290,17 @@ def saltation(
 
 
 @inner
+def _along(gradient: Array, row: int, column: int, x: float, y: float, z: float) -> float:
+    """Change of one component of the impulse by a vector, whose three columns begin with `column`."""
+    return float(gradient[row, column] * x + gradient[row, column + 1] * y + gradient[row, column + 2] * z)
+
+
+@inner
 def _impulse_change(
     gradient: Array, row: int, dx: float, dy: float, dz: float, cx: float, cy: float, cz: float
 ) -> float:
     """Change of one component of the impulse by changes of the arm and of the contact velocity."""
-    arm = gradient[row, 0] * dx + gradient[row, 1] * dy + gradient[row, 2] * dz
-    return float(arm + gradient[row, 3] * cx + gradient[row, 4] * cy + gradient[row, 5] * cz)
+    return float(_along(gradient, row, ARM, dx, dy, dz) + _along(gradient, row, VELOCITY, cx, cy, cz))
 
 
 @inner
@@ -307,7 +325,10 @@ def impact_tangent(
         state[9] + wx * y - wy * x - kinematics.table_velocity,
     )
     inertia = body.inertia
-    sx, sy, sz = impulse_gradient(setup.law, body.mass, inertia, (x, y, z), c, derivatives.wanted, derivatives.gradient)
+    sx, sy, sz = impulse_gradient(
+        setup.law, EvenInertia(body.mass, inertia), (x, y, z), c, derivatives.wanted, derivatives.changes,
+        derivatives.gradient,
+    )  # fmt: skip
     kx, ky, kz = (y * sz - z * sy) / inertia, (z * sx - x * sz) / inertia, (x * sy - y * sx) / inertia
     impact = Impact(x, y, z, level, c[2], sx, sy, sz, wx, wy, wz, kx, ky, kz, body.mass, inertia, 1.0)
     saltation(body, state, impact, kinematics, derivatives, tangent, columns, dtime)

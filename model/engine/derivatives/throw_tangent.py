@@ -37,7 +37,6 @@ from ..flight import (
     table_velocity,
     touch_of_vertex,
 )
-from ..impact import ParameterDerivatives
 from ..log import copy_to, fill_with_nan, with_room, write_event
 from ..rest import chatter_speed
 from ..types import (
@@ -52,6 +51,7 @@ from ..types import (
     Setup,
 )
 from .growth import impact_at_vertex
+from .impulse_gradient import INPUTS, ParameterDerivatives
 from .linearised_motion import (
     SHIFTS,
     ImpactKinematics,
@@ -237,7 +237,7 @@ def run_tangent(
     state, before, pose = start.copy(), np.empty(13), np.empty(13)
     tangent, moved, flow = seed.copy(), np.empty((12, columns)), np.empty(FLOW_SIZE)
     shifts = np.empty((columns - 12, SHIFTS))
-    derivatives = impact_derivatives(law, np.any(sources.chi), np.any(sources.mu), shifts, inf)
+    derivatives = impact_derivatives(law, INPUTS, np.any(sources.chi), np.any(sources.mu), shifts, inf)
     terms = np.empty((body.vertices.shape[0], 4))
     slow = chatter_speed(law, plane, precision, body.radius)
     last = times[n - 1] if n > 0 else start_time

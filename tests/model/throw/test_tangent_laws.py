@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from random_throws import disturbed, random_release
+from random_throws import disturbed, random_quaternion, random_release
 from scipy.integrate import solve_ivp
 
 from diethrow.model import engine
 from diethrow.model.die.die import Die, die_from_solid, loaded_die, make_die
 from diethrow.model.die.named_solids import truncated_dipyramid
+from diethrow.model.engine import derivatives
 from diethrow.model.laws import LEVEL, CoulombImpact, FrictionBySpeed, RestitutionBySpeed, SmoothImpact, Table
 from diethrow.model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.body import unpacked_state
@@ -252,28 +253,45 @@ def test_air_with_zero_drag_changes_nothing():
     ],
 )
 @pytest.mark.parametrize("chi", [0.0, 0.5])
-def test_the_gradient_of_an_impulse_agrees_with_larger_differences_for_every_kind_of_slip(mu, contact, chi):
-    mass, inertia, arm = 0.016, 1.07e-6, (0.006, -0.003, -0.012)
-    gradient, law = np.empty((3, 10)), engine.RoughLaw(engine.COULOMB, np.array([chi, mu, float(engine.STRONGE)]))
-    found = engine.impulse_gradient(law, mass, inertia, arm, contact, (True, True), gradient)
-    given = np.array([*arm, *contact, chi, mu, inertia])
+@pytest.mark.parametrize("kind", ["one moment", "tensor"])
+def test_the_gradient_of_an_impulse_agrees_with_larger_differences_for_every_kind_of_slip(mu, contact, chi, kind):
+    mass, arm = 0.016, (0.006, -0.003, -0.012)
+    law = engine.RoughLaw(engine.COULOMB, np.array([chi, mu, float(engine.STRONGE)]))
+    attitude, moments = matrix_from_quat(random_quaternion(np.random.default_rng(1))), np.array([0.8, 1.07, 1.5]) * 1e-6
+
+    def inertia(stiffer: float, turn: np.ndarray) -> engine.EvenInertia | engine.TensorInertia:
+        if kind == "one moment":
+            return engine.EvenInertia(mass, moments[1] + stiffer)
+        turned = matrix_from_quat(quat_from_rotvec(turn)) @ attitude
+        return engine.TensorInertia(mass, turned @ np.diag(1.0 / (moments + stiffer)) @ turned.T)
 
     def impulse(x: np.ndarray) -> np.ndarray:
-        matrix = engine.spherical_contact_matrix(mass, x[8], *x[:3])
+        now = inertia(x[8], x[9:])
+        matrix = (
+            engine.spherical_contact_matrix(mass, now.moment, *x[:3])
+            if isinstance(now, engine.EvenInertia)
+            else engine.contact_matrix(mass, now.inverse, *x[:3])
+        )
         return np.array(engine.friction_impulse(matrix, x[6], x[7], engine.STRONGE, *x[3:6]))
 
+    inputs = derivatives.INPUTS if kind == "one moment" else derivatives.ASYMMETRIC_INPUTS
+    gradient, changes = np.empty((3, inputs)), np.empty((inputs - derivatives.INPUTS + derivatives.MATRIX_CHANGES, 6))
+    found = derivatives.impulse_gradient(law, inertia(0.0, np.zeros(3)), arm, contact, (True, True), changes, gradient)
+    given = np.array([*arm, *contact, chi, mu, 0.0, 0.0, 0.0, 0.0])
     np.testing.assert_allclose(found, impulse(given), rtol=1e-12)
-    for k in range(9):
-        step = np.eye(9)[k] * 1e-3 * (abs(given[k]) if k < 6 or k == 8 else 1.0)
+    sizes = np.array([*np.abs(arm), *np.abs(contact), 1.0, 1.0, moments[1], 1.0, 1.0, 1.0])
+    for k in range(9 if kind == "one moment" else 12):
+        step = np.eye(12)[k] * 1e-3 * sizes[k]
         if k in (6, 7) and given[k] == 0.0:
             ahead = [impulse(given + n * step) for n in range(5)]
             slope = sum(w * s for w, s in zip((-25, 48, -36, 16, -3), ahead, strict=True)) / 12.0
         else:
             near, far = (impulse(given + n * step) - impulse(given - n * step) for n in (1, 2))
             slope = (8 * near - far) / 12.0
-        # Fourth order at steps of a thousandth, second order at 1e-5: some 1e-9 each.
-        expected = slope / step[k]
-        np.testing.assert_allclose(gradient[:, k], expected, atol=1e-7 * np.abs(expected).max() + 1e-13)
+        # Fourth order at steps of a thousandth, second order at 1e-5: some 1e-9 each. Rounding over the latter leaves 1e-10.
+        expected, rounding = slope / step[k], 1e-10 * np.abs(found).max() / sizes[k]
+        column = gradient[:, k if k < 9 else derivatives.INPUTS + k - 9]
+        np.testing.assert_allclose(column, expected, atol=1e-7 * np.abs(expected).max() + rounding)
 
 
 def test_parameters_that_do_not_act_have_columns_of_zeros():
