@@ -16,8 +16,8 @@ is eliminated from the equations of a view.
 
 **Slope of the shade.** The background beside a contour gets darker or lighter away from the die, by a slope s about zero of a
 stated standard deviation: far above the table, where nothing of the kind is near, that is so small that s costs no information.
-s is eliminated before all else, so that what follows is as without it. The derivative of a pixel by the blur
-leaves out that of s: a hundredth of it.
+s is eliminated before all else, so that what follows is as without it. The derivative of a pixel by the blur leaves out that of
+s: a hundredth of it.
 
 **Saturation.** A pixel at full scale says "at least this bright". Where as much is predicted it says nothing else: it has no
 weight, and how bright the side of the edge is follows from the pixels between the two. Where less is, it counts as any other.

@@ -61,8 +61,8 @@ def error_of_step_by_slope(A: Any, base: float, coupled: Any, square: float) -> 
     det, q0, q1 = near * far - both * both, coupled[0], coupled[1]
     variance = (far + 2.0 * base * both + base * base * near) / det
     by_slope = (base * (near * q1 - both * q0) - (far * q0 - both * q1)) / det
-    told = square + (far * q0 * q0 - 2.0 * both * q0 * q1 + near * q1 * q1) / det
-    return sqrt(variance / max(variance - by_slope * by_slope / told, LEAST_PIVOT * variance))
+    of_slope = square + (far * q0 * q0 - 2.0 * both * q0 * q1 + near * q1 * q1) / det
+    return sqrt(variance / max(variance - by_slope * by_slope / of_slope, LEAST_PIVOT * variance))
 
 
 # --- Beside a rounded die ---

@@ -60,9 +60,8 @@ LEAST_NOISE_GREY = 0.5
 NOISE_FLOOR_SHARE = 0.5
 """The same, in the noise of the still background."""
 SHADE_CHANGE = 1.5
-"""Standard deviation of the change of the shade on the background over a length of a circumradius and the height above the table:
-the soft shadow of a die, and what it hides of the light from all sides, are as wide as that. Twice of what rendered clips show.
-Without a slope the contours of dark dice near a light table were found 0.15 px too far out."""
+"""Standard deviation of the change of the shade on the background over a circumradius, beside a die on the table: of its soft
+shadow, and of what it hides of the light from all sides. At half of it dark dice in soft shadows are 0.4 mm off."""
 ROUNDED_TRACKING_STEPS = 2
 """Factor on the steps while a rounded die is tracked: the unknown intensities of its strips make the steps shorter."""
 ROUNDED_IN_MIRROR = 0.001

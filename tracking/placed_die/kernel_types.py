@@ -176,8 +176,8 @@ class RefinementSettings(NamedTuple):
     contour_stretch_px: float
     """Length of contour of a sharp die that shares one shade of the background."""
     shade_change: float
-    """Standard deviation of the change of the shade on the background beside a contour, over a length of a circumradius and the
-    height above the table."""
+    """Standard deviation of the change of the shade on the background over a circumradius, beside a contour on the table; above
+    it the slope falls with the square of height and circumradius (`picture.shade`)."""
     response: float
     """Exponent of the response, grey = light ** response, if the statistics shall state the noise in the file's grey levels, in
     which clips that were mapped by different responses compare; 0: the noise in the clip's own levels."""
