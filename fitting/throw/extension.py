@@ -145,8 +145,10 @@ def is_explained(
 
 
 def well_explained(trajectory: Trajectory, free: FreeFlights) -> bool:
-    """Whether no other values or definitions of restitution need be tried for what the trajectory explains."""
-    return is_explained(trajectory, free, _GOOD_MISFIT)
+    """Whether no other values or definitions of restitution need be tried for what the trajectory explains: it does so as well as
+    free flights do, however large the errors are that frames state. Within errors that are stated too large, a wrong definition
+    explains flights, too."""
+    return is_explained(trajectory, free, _GOOD_MISFIT, least_variance=0.0)
 
 
 def _explains(trajectory: Trajectory, free: FreeFlights, sequence: Vertices, measured: Sequence[Vertices]) -> bool:
@@ -250,16 +252,20 @@ def _extended_from_variants(
 
 
 def _variants(trajectory: Trajectory, target: int, free: FreeFlights) -> list[Trajectory]:
-    """The trajectory with other definitions of restitution, with other values that explain its frames, and with both."""
-    redefined = [replace(trajectory, physics=kind) for kind in trajectory.physics.with_other_restitutions()]
-    others: list[Trajectory] = []
-    for effect in trajectory.physics.effects:
-        for physics in starts_with(effect, trajectory.physics, free, trajectory.reached, target):
-            other = _refitted_from(effect, physics, trajectory, free)
-            if is_explained(other, free) and not any(_same_parameters(other, known) for known in (trajectory, *others)):
-                others.append(other)
-    both = [replace(other, physics=kind) for other in others for kind in other.physics.with_other_restitutions()]
-    return [*redefined, *others, *both]
+    """The trajectory by every definition of restitution, with its own values and with others that explain its frames.
+
+    Each definition is fitted on its own: χ of one is off by another, and so is the friction with which a contact sticks.
+    """
+    found = [trajectory]
+    for kind in (trajectory.physics, *trajectory.physics.with_other_restitutions()):
+        tried = [_with_restitution(kind.restitution, trajectory, free.huber_threshold)]
+        for effect in kind.effects:
+            starts = starts_with(effect, tried[0].physics, free, trajectory.reached, target)
+            tried += [_refitted_from(effect, physics, tried[0], free) for physics in starts]
+        for other in tried:
+            if is_explained(other, free) and not any(_same_parameters(other, known) for known in found):
+                found.append(other)
+    return found[1:]
 
 
 def starts_with(effect: str, physics: Physics, free: FreeFlights, before: int, after: int) -> list[Physics]:
@@ -292,7 +298,10 @@ def _refitted_from(effect: str, physics: Physics, trajectory: Trajectory, free: 
 
 
 def _same_parameters(one: Trajectory, other: Trajectory) -> bool:
-    """Whether two trajectories have the same parameters, within the accuracy of a preliminary fit."""
+    """Whether two trajectories have one definition of restitution and the same parameters, within the accuracy of a
+    preliminary fit."""
+    if one.physics.restitution != other.physics.restitution:
+        return False
     return all(abs(value - other.physics.values[name]) < _SAME_VALUE for name, value in one.physics.values.items())
 
 
