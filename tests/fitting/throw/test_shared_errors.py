@@ -107,17 +107,19 @@ def drawn(seed: int, size: float = 3e-3) -> tuple[float, Throw, Track, Throw]:
 
 def test_intervals_contain_what_the_calibration_leaves_open() -> None:
     held, without = [], []
+    # No effect is looked for that would explain what an exact camera leaves.
+    by_exact_camera = Choices("covariance", effects=())
     for seed in range(18):
         chi, _, track, measured = drawn(seed)
-        fits = [(track, held)] + ([(with_exact_camera(track), without)] if seed < 5 else [])
-        for frames, found in fits:
-            fitted = fit_throw(frames, measured, CUBE, choices=Choices("covariance")).parameters["chi"]
+        fits = [(track, held, Choices("covariance")), (with_exact_camera(track), without, by_exact_camera)]
+        for frames, found, choices in fits:
+            fitted = fit_throw(frames, measured, CUBE, choices=choices).parameters["chi"]
             if fitted.value is not None and fitted.low is not None and fitted.high is not None:
                 found.append(fitted.low <= chi <= fitted.high)
     assert len(held) >= 15
     # Fewer than 80 % of 15 to 18 inside a true 95 % interval has odds of about one in a hundred.
     assert np.mean(held) >= 0.8
-    assert not all(without)
+    assert np.mean(without) < 0.8
 
 
 @pytest.mark.parametrize("method", INTERVAL_METHODS)
@@ -142,7 +144,7 @@ def test_shares_of_the_variance_add_up_and_name_their_source() -> None:
     assert list(shares) == ["noise", CALIBRATION, DIE, "impact law"]
     assert sum(shares.values()) == pytest.approx(1.0, abs=1e-9)
     assert min(shares.values()) >= 0.0
-    assert fit_throw(replace(track, shared_errors=None), measured, CUBE).variance_shares == {}
+    assert fit_throw(with_exact_camera(track), measured, CUBE, choices=Choices(effects=())).variance_shares == {}
     assert any("of the camera" in message and "narrower" in message for message in fit.messages)
 
 
