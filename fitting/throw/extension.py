@@ -146,8 +146,8 @@ def is_explained(
 
 def well_explained(trajectory: Trajectory, free: FreeFlights) -> bool:
     """Whether no other values or definitions of restitution need be tried for what the trajectory explains: it does so as well as
-    free flights do, however large the errors are that frames state. Within errors that are stated too large, a wrong definition
-    explains flights, too."""
+    free flights do, however large the errors are that frames state. Where these are stated too large, a wrong definition of
+    restitution lies within them."""
     return is_explained(trajectory, free, _GOOD_MISFIT, least_variance=0.0)
 
 
@@ -254,14 +254,15 @@ def _extended_from_variants(
 def _variants(trajectory: Trajectory, target: int, free: FreeFlights) -> list[Trajectory]:
     """The trajectory by every definition of restitution, with its own values and with others that explain its frames.
 
-    Each definition is fitted on its own: χ of one is off by another, and so is the friction with which a contact sticks.
+    Each definition is fitted by itself: the χ of one does not fit another, nor does the friction from which on a contact sticks.
     """
     found = [trajectory]
     for kind in (trajectory.physics, *trajectory.physics.with_other_restitutions()):
-        tried = [_with_restitution(kind.restitution, trajectory, free.huber_threshold)]
+        own = _with_restitution(kind.restitution, trajectory, free.huber_threshold)
+        tried = [own]
         for effect in kind.effects:
-            starts = starts_with(effect, tried[0].physics, free, trajectory.reached, target)
-            tried += [_refitted_from(effect, physics, tried[0], free) for physics in starts]
+            starts = starts_with(effect, own.physics, free, trajectory.reached, target)
+            tried += [_refitted_from(effect, physics, own, free) for physics in starts]
         for other in tried:
             if is_explained(other, free) and not any(_same_parameters(other, known) for known in found):
                 found.append(other)
