@@ -4,7 +4,8 @@
 person, and `refine_pose` refines a pose on the edges of its frame and gives its covariance. `refine_and_score` and
 `refine_frames` do that in compiled code, for one frame and for many; `tracking.sequence` and `tracking.clip_parameters`
 call them. `reversed_pose` is the pose that draws nearly the same outline with near and far exchanged. `ClipPoses` holds
-the poses of all frames of a clip, `SampledFrames` a sample of frames with their pictures.
+the poses of all frames of a clip, `SampledFrames` a sample of frames with their pictures. `unevenness` and `log_scatter`
+say whether poses move as a die in flight, and `excess_on_same_pixels` makes the costs of several comparable.
 """
 
 from .candidate_poses import SAME_POSE_EDGES as SAME_POSE_EDGES
@@ -22,6 +23,9 @@ from .clip_poses import power_of_two as power_of_two
 from .clip_poses import wholly_in_view as wholly_in_view
 from .depth_reversals import half_turn_about_sight as half_turn_about_sight
 from .depth_reversals import reversed_pose as reversed_pose
+from .evenness import UNEVEN as UNEVEN
+from .evenness import log_scatter as log_scatter
+from .evenness import unevenness as unevenness
 from .manual_pose import FEWEST_CLICKS as FEWEST_CLICKS
 from .manual_pose import Click as Click
 from .manual_pose import ManualInitialisation as ManualInitialisation
@@ -42,3 +46,4 @@ from .refine_kernels import refine_frames as refine_frames
 from .refine_kernels import refine_uncertain as refine_uncertain
 from .refine_kernels import seen_distance_m as seen_distance_m
 from .refine_kernels import store_frame as store_frame
+from .same_pixels import excess_on_same_pixels as excess_on_same_pixels

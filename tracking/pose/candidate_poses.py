@@ -328,7 +328,7 @@ def _search(view: View, images: Image, blob: Blob, box: Box) -> list[tuple[float
     cuts = [slice(int(a), int(b)) for a, b in pairwise(np.linspace(0, len(positions), THREADS + 1).astype(int))]
     with ThreadPoolExecutor(THREADS) as pool:
         parts = pool.map(
-            lambda part: _region_costs(view, images[0], box, positions[part], rotations[part], SEARCH_PIXELS)[0], cuts
+            lambda part: region_costs_on(view, images[0], box, positions[part], rotations[part], SEARCH_PIXELS)[0], cuts
         )
         costs = np.concatenate(list(parts))
     best = np.argsort(costs, kind="stable")[:REFINED]
@@ -337,7 +337,7 @@ def _search(view: View, images: Image, blob: Blob, box: Box) -> list[tuple[float
     if not poses:
         return []
     places, turns = np.array([p.position_m for p in poses]), np.array([p.rotation for p in poses])
-    costs, differs = _region_costs(view, images[0], box, places, turns, JUDGED_PIXELS)
+    costs, differs = region_costs_on(view, images[0], box, places, turns, JUDGED_PIXELS)
     return [
         (float(cost) + SUPPORT_COST * (1.0 - pose.clear_share) + UNEXPLAINED_COST * pose.unexplained, pose)
         for cost, share, pose in zip(costs, differs, poses, strict=True)
@@ -362,7 +362,7 @@ def _trials(view: View, blob: Blob) -> tuple[Array, Array]:
     return places[above], rotations[above]
 
 
-def _region_costs(
+def region_costs_on(
     view: View, image: Image, box: Box, positions_m: Array, rotations: Array,
     samples: int,
 ) -> tuple[Array, Array]:  # fmt: skip

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from ..footage import FrameSource
 from ..picture import View
-from ..pose import ClipPoses, same_picture
-from .initialisation import AGREEMENT_EDGES, FULL_STAGE, log_scatter
+from ..pose import ClipPoses, log_scatter, same_picture
+from .initialisation import AGREEMENT_EDGES, FULL_STAGE
 
 Mask = NDArray[np.bool_]
 Rows = NDArray[np.int64]

@@ -17,16 +17,13 @@ frame, and those that agree there are accepted: wrong ones diverge."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...model.errors import InputError
-from ...model.rotations import quat_from_matrix, rotation_between
-from ...model.throw import turning_of
-from ..flights import WeightedPoses, fit_flight
 from ..footage import FrameSource
 from ..frame_to_frame import (
     AMBIGUOUS_COST,
@@ -42,18 +39,19 @@ from ..frame_to_frame import (
 from ..picture import View
 from ..pose import (
     SAME_POSE_EDGES,
+    UNEVEN,
     ClipPoses,
     ManualInitialisation,
     Pose,
-    covariances,
     die_blobs,
+    excess_on_same_pixels,
+    log_scatter,
     manual_initial_pose,
     pose_candidates,
     reversed_pose,
     same_picture,
-    seen_distance_m,
+    unevenness,
     velocity_across_m_s,
-    weak_priors,
 )
 from ..throw import contact_reach_m
 from .places import PlacesBeside
@@ -78,8 +76,6 @@ MIN_SUPPORT = 0.6
 stage show an even motion: a face as bright as the table has no step on any of them."""
 EVEN = 0.5
 """Unevenness below which a hypothesis is accepted at once."""
-UNEVEN = 1.0
-"""Unevenness from which a motion is that of no die in flight."""
 MIN_HYPOTHESES = 3
 """Frames whose hypotheses are compared at least if none is certain, as of small dice."""
 SHARPER = 0.6
@@ -93,6 +89,8 @@ FULL_STAGE = STAGES[1]
 """Frames over which a hypothesis must be tracked."""
 HALF_STAGE = STAGES[2]
 """Frames from which on evenness decides: right hypotheses take some frames to converge."""
+LATE_ROWS = 2
+"""Rows behind an impact before it is noticed: poses there lie on no flight with those before."""
 REJECTION_MISFIT = 0.3
 """Misfit above the least by which a hypothesis is rejected, that of the motion included from HALF_STAGE on."""
 CONTRADICTING_MISFIT = 0.1
@@ -103,13 +101,6 @@ AGREEMENT_EDGES = 0.2
 uncertain."""
 SAME_AREA_LOG = 0.4
 """Logarithm of the ratio of areas beyond which the regions of two frames do not show the same."""
-UNEVEN_EDGES = 0.1
-"""Rms departure from a parabola as the camera sees it, in edges, that no die in flight shows. A wrong hypothesis jumps, and so
-does a pose drawn into a shadow."""
-UNEVEN_SIGMAS = 2.0
-"""Standard errors of the poses that count as much as these: what a picture leaves open is no departure."""
-UNEVEN_RAD = np.radians(1.5)
-"""Rms departure [rad] from an even rotation that no die in flight shows."""
 
 
 @dataclass(frozen=True)
@@ -155,6 +146,21 @@ class Hypothesis:
     """Row of the first impact on the way, where another flight began near the table; more than all rows if there was none."""
     before_impact: FrameTracker | None = None
     """A tracker with the motion before that row."""
+    excess: Array = field(default_factory=lambda: np.zeros(STAGES[-1]))
+    """(rows,) what the costs are higher by on the pixels of all hypotheses that were compared on a row."""
+
+    def score_of(self, view: View, times_s: Array, since: int, until: int) -> Score:
+        """The score of the rows from `since` to before `until`."""
+        poses = self.poses
+        # An initial pose that was a little off takes some frames to converge.
+        settled = (since + until) // 2 + np.flatnonzero(poses.known[(since + until) // 2 : until])
+        misfit = self.misfit_on(settled)
+        scatter = log_scatter(view, poses, times_s, np.flatnonzero(poses.known[:until])) if until >= HALF_STAGE else 0.0
+        return Score(misfit, unevenness(view, poses, times_s, since, until), since, until, scatter)
+
+    def misfit_on(self, rows: Rows) -> float:
+        """Mean misfit of the pictures of some rows."""
+        return float((self.poses.cost_with_edge_noise[rows] + self.excess[rows]).mean())
 
     @property
     def clear_share(self) -> float:
@@ -175,23 +181,28 @@ Candidate = tuple[int, Hypothesis]
 
 
 def find_initial_pose(
-    view: View, source: FrameSource, unused: Mask, report: Callable[[int], None] = lambda frame: None
+    view: View,
+    source: FrameSource,
+    unused: Mask,
+    report: Callable[[int], None] = lambda frame: None,
+    most_frames: int = MAX_FIRST_FRAMES,
 ) -> tuple[FrameTracker, ClipPoses] | None:
     """A tracker from the first frame that shows the die whole, and its poses so far; None if no die is found.
 
-    Frames that are `unused` (n,) are skipped, and the tracker skips them as well; `report` is called with each frame examined. If
-    no hypothesis is accepted with the lens blur of the view, the search is repeated with a smaller one; and on the first frame if
-    that is not certain, whatever later ones are. If none is accepted then, the likeliest is returned."""
+    Frames that are `unused` (n,) are skipped, and the tracker skips them as well; `report` is called with each frame examined. At
+    most `most_frames` are searched. If no hypothesis is accepted with the lens blur of the view, the search is repeated with a
+    smaller one; and on the first frame if that is not certain, whatever later ones are. If none is accepted then, the likeliest
+    is returned."""
     sharper = replace(view, blur_px=SHARPER * view.blur_px)
-    found, uncertain = _search(view, source, unused, report)
+    found, uncertain = _search(view, source, unused, report, most_frames=most_frames)
     if found is not None and uncertain:
         # With a blur too large wrong hypotheses may be certain sooner than right ones, by the last bit of a sum.
         k, blurred = uncertain[0]
         sharp = best_hypothesis(sharper, source, k, unused)
-        if sharp is not None and sharp.is_certain and sharp.score.misfit < blurred.score.misfit:
+        if sharp is not None and sharp.is_certain and _explains_better(view, source, k, sharp, blurred):
             found = k, sharp
     if found is None:
-        found, others = _search(sharper, source, unused, report)
+        found, others = _search(sharper, source, unused, report, most_frames=most_frames)
         uncertain += others
     if found is not None:
         return _on_clip(found[1], source, found[0], unused)
@@ -216,10 +227,11 @@ def _search(
     unused: Mask,
     report: Callable[[int], None],
     beside: PlacesBeside | None = None,
+    most_frames: int = MAX_FIRST_FRAMES,
 ) -> tuple[Candidate | None, list[Candidate]]:
     """The first hypothesis that is certain or with which others agree; and those that are neither."""
     uncertain: list[Candidate] = []
-    for k in islice(_candidate_frames(view, source, unused, report), MAX_FIRST_FRAMES):
+    for k in islice(_candidate_frames(view, source, unused, report), most_frames):
         best = best_hypothesis(view, source, k, unused, beside)
         if best is None or best.poses.support[best.poses.known].mean() < MIN_SUPPORT:
             continue
@@ -376,7 +388,9 @@ def _best_tracked(
     """The best of some hypotheses that begin on frame k, tracked stage by stage over the frames left; None if all are lost."""
     for stage in sorted({min(stage, left) for stage in STAGES}):
         leader = hypotheses[0] if stage > FULL_STAGE and hypotheses else None
-        scored = [(h, score) for h in hypotheses if (score := _tracked_to(h, view, source, k, stage)) is not None]
+        followed = [h for h in hypotheses if _follows_to(h, view, source, k, stage)]
+        _compare_on_same_pixels(view, source, k, hypotheses)
+        scored = [(h, _recent_score(h, view, source.times_s[k:], stage)) for h in followed]
         # What they do behind an impact of the leader, or one that lost them, tells nothing: compared is the flight before.
         decided = [h for h, _ in scored if h is not leader]
         ends = [h.flies_until for h in hypotheses if h not in decided and FULL_STAGE <= h.flies_until < stage]
@@ -406,7 +420,7 @@ def _best_until(view: View, source: FrameSource, k: int, hypotheses: list[Hypoth
     only the frames before it."""
     tracked = [hypothesis for hypothesis in hypotheses if hypothesis.poses.known[:until].sum() >= until - 1]
     for hypothesis in tracked:
-        hypothesis.score = _score(view, hypothesis.poses, source.times_s[k:], 0, until)
+        hypothesis.score = hypothesis.score_of(view, source.times_s[k:], 0, until - LATE_ROWS)
     least = min((hypothesis.score.evidence for hypothesis in tracked), default=np.inf)
     near = [hypothesis for hypothesis in tracked if hypothesis.score.evidence < least + REJECTION_MISFIT]
     for hypothesis in near:
@@ -428,9 +442,9 @@ def _winner(
     last = int(np.flatnonzero(best.poses.known)[-1])
     if best.score.since and last < best.score.until:
         back = best.tracker.backwards_tracker()
-        best.poses.known[:last] = False
+        best.poses.known[:last], best.excess[:last] = False, 0.0
         back.track(np.stack([source.frame(k + row) for row in range(last)]), source.times_s[k:], 0, best.poses)
-        best.score = _score(view, best.poses, source.times_s[k:], 0, last + 1)
+        best.score = best.score_of(view, source.times_s[k:], 0, last + 1)
     return best
 
 
@@ -491,8 +505,8 @@ def _moving_hypothesis(
     return Hypothesis(tracker, found, Score(motion.poses[0].cost_with_edge_noise))
 
 
-def _tracked_to(hypothesis: Hypothesis, view: View, source: FrameSource, k: int, stage: int) -> Score | None:
-    """The score of a hypothesis, tracked up to so many frames; None if the die was lost on the way, or went into the table."""
+def _follows_to(hypothesis: Hypothesis, view: View, source: FrameSource, k: int, stage: int) -> bool:
+    """Track a hypothesis up to so many frames; false if the die was lost on the way, or went into the table."""
     tracker, poses, times_s = hypothesis.tracker, hypothesis.poses, source.times_s[k:]
     for j in range(tracker.next_frame, stage):
         motion, rotation, P, clock = (
@@ -500,19 +514,39 @@ def _tracked_to(hypothesis: Hypothesis, view: View, source: FrameSource, k: int,
         )
         tracker.track(source.frame(k + j)[None], times_s, j, poses)
         if tracker.misses > 1:
-            return None
+            return False
         is_low = not is_high(view, tracker.motion[:3], tracker.rotation, tracker.P)
         if j < hypothesis.flies_until and tracker.clock[2] < MIN_POSES_OF_FLIGHT < j and is_low:
             hypothesis.flies_until = j
             hypothesis.before_impact = FrameTracker(tracker.view, motion, rotation, P, clock, tracker.unused)
             hypothesis.before_impact.next_frame = j
-    if poses.known[:stage].sum() < stage - 1 or _is_below_table(tracker):
-        return None
-    # An initial pose that was a little off takes some frames to converge, and a wrong one may become right when the die shows
-    # another face: the recent motion counts.
+    return bool(poses.known[:stage].sum() >= stage - 1 and not _is_below_table(tracker))
+
+
+def _compare_on_same_pixels(view: View, source: FrameSource, k: int, hypotheses: list[Hypothesis]) -> None:
+    """Write by how much the costs of hypotheses that begin on frame k are higher on the pixels of all of them."""
+    for row in np.flatnonzero(np.sum([h.poses.known for h in hypotheses], axis=0) > 1).tolist():
+        compared = [h for h in hypotheses if h.poses.known[row]]
+        picture = np.asarray(source.frame(k + row)[0], np.float32)
+        excess = excess_on_same_pixels(view, picture, [h.poses for h in compared], row)
+        for hypothesis, more in zip(compared, excess, strict=True):
+            hypothesis.excess[row] = more
+
+
+def _explains_better(view: View, source: FrameSource, k: int, one: Hypothesis, other: Hypothesis) -> bool:
+    """Whether one hypothesis on frame k explains the later pictures that both were tracked over better than another."""
+    _compare_on_same_pixels(view, source, k, [one, other])
+    both = np.flatnonzero(one.poses.known & other.poses.known)
+    late = both[len(both) // 2 :]
+    return one.misfit_on(late) < other.misfit_on(late)
+
+
+def _recent_score(hypothesis: Hypothesis, view: View, times_s: Array, stage: int) -> Score:
+    """The score of a hypothesis that was tracked up to so many frames: an initial pose that was a little off takes some frames to
+    converge, and a wrong one may become right when the die shows another face, so that the recent motion counts."""
     since = stage // 2 if stage > FULL_STAGE else 0
-    whole = _score(view, poses, times_s, 0, stage)
-    return whole if whole.unevenness < EVEN else _score(view, poses, times_s, since, stage)
+    whole = hypothesis.score_of(view, times_s, 0, stage)
+    return whole if whole.unevenness < EVEN else hypothesis.score_of(view, times_s, since, stage)
 
 
 def _is_below_table(tracker: FrameTracker) -> bool:
@@ -521,74 +555,6 @@ def _is_below_table(tracker: FrameTracker) -> bool:
     lowest = float(lowest_m(tracker.view.shape, tracker.motion[:3], tracker.rotation))
     sigma_m = float(np.sqrt(max(tracker.P[2, 2], 0.0)))
     return lowest < -max(contact_reach_m(tracker.view.die), HEIGHT_SIGMAS * sigma_m)
-
-
-def _score(view: View, poses: ClipPoses, times_s: Array, since: int, until: int) -> Score:
-    """The score of poses from row `since` to before `until`."""
-    # An initial pose that was a little off takes some frames to converge.
-    settled = slice((since + until) // 2, until)
-    misfit = float(poses.cost_with_edge_noise[settled][poses.known[settled]].mean())
-    scatter = log_scatter(view, poses, times_s, np.flatnonzero(poses.known[:until])) if until >= HALF_STAGE else 0.0
-    return Score(misfit, _unevenness(view, poses, times_s, since, until), since, until, scatter)
-
-
-def log_scatter(view: View, poses: ClipPoses, times_s: Array, rows: Rows) -> float:
-    """Logarithm of the residual standard deviation of the poses on some rows about one flight, in units of their standard errors;
-    0 at the least, and where fewer than three pictures determine a pose."""
-    covariance = covariances(poses.H[rows, :6, :6])
-    determined = np.isfinite(covariance[:, 0, 0])
-    rows, covariance = rows[determined], covariance[determined]
-    if len(rows) < 3:
-        return 0.0
-    position_m, quaternion = poses.position_m[rows], quat_from_matrix(poses.rotation[rows])
-    exposed_s = times_s[rows] + view.exposure_delay_s(position_m)
-    seen = WeightedPoses.from_poses(
-        exposed_s, position_m, quaternion, covariance, gravity_m_s2=view.gravity_m_s2, turning=turning_of(view.die)
-    )
-    _, _, chi2 = fit_flight(seen)
-    return 0.5 * float(np.log(max(chi2 / (6 * len(rows) - 12), 1.0)))
-
-
-def _unevenness(view: View, poses: ClipPoses, times_s: Array, since: int, until: int) -> float:
-    """Departure of the poses from row `since` to before `until` from a parabola and an even rotation; UNEVEN if no die in flight
-    moves like that."""
-    known = since + np.flatnonzero(poses.known[since:until])
-    if len(known) < 3:
-        return 0.0
-    middle = int(known[len(known) // 2])
-    times_s = times_s[: len(poses.known)] + view.exposure_delay_s(poses.position_m)
-    t = times_s[known] - times_s[middle]
-    without_fall = poses.position_m[known] + np.outer(0.5 * view.gravity_m_s2 * t * t, [0.0, 0.0, 1.0])
-    turns = rotation_between(quat_from_matrix(poses.rotation[middle]), quat_from_matrix(poses.rotation[known]))
-    sigma_m, sigma_rad = _standard_errors(view, poses, known)
-    off_m, p = _off_line(t, without_fall), poses.position_m[known]
-    seen_m = np.array([seen_distance_m(view.rig, at, step, view.reach_m) for at, step in zip(p, off_m, strict=True)])
-    turned = np.linalg.norm(_off_line(t, turns), axis=1)
-    usual_m, usual_rad = UNEVEN_EDGES * view.die.solid.edge_m, UNEVEN_RAD
-    return max(_rms(seen_m / np.hypot(usual_m, sigma_m)), _rms(turned / np.hypot(usual_rad, sigma_rad)))
-
-
-def _standard_errors(view: View, poses: ClipPoses, rows: Rows) -> tuple[Array, Array]:
-    """Standard errors of the poses on some rows (n,), across the line of sight [m] and of the rotation [rad], times
-    UNEVEN_SIGMAS."""
-    camera = view.camera
-    covariance = np.linalg.inv(poses.H[rows, :6, :6] + weak_priors(view, poses.position_m[rows]))
-    sight = poses.position_m[rows] - camera.centre_m
-    sight /= np.linalg.norm(sight, axis=1)[:, None]
-    across = np.trace(covariance[:, :3, :3], axis1=1, axis2=2) - np.einsum(
-        "ni,nij,nj->n", sight, covariance[:, :3, :3], sight
-    )
-    turned = np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2)
-    return UNEVEN_SIGMAS * np.sqrt(across), UNEVEN_SIGMAS * np.sqrt(turned)
-
-
-def _off_line(t: Array, values: Array) -> Array:
-    """(n, 3) differences of values (n, 3) from the straight line over t (n,) that fits them best."""
-    return np.asarray(values - np.stack([np.ones_like(t), t], 1) @ np.polynomial.polynomial.polyfit(t, values, 1))
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt((values**2).mean()))
 
 
 def _distinct(view: View, hypotheses: list[Hypothesis]) -> list[Hypothesis]:

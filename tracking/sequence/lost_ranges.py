@@ -14,9 +14,9 @@ from ...model.throw import State
 from ..footage import FrameSource
 from ..frame_to_frame import FrameTracker, TrackingTask, track_both_ways
 from ..picture import View, flight_from, share_in_view
-from ..pose import ClipPoses
+from ..pose import ClipPoses, log_scatter
 from .compare_poses import CONTESTED_SHARE, differ, explain_better, windows_of
-from .initialisation import FULL_STAGE, find_lost_die, log_scatter
+from .initialisation import FULL_STAGE, find_lost_die
 from .labelling import with_rows_of
 from .places import PlacesBeside
 
@@ -46,7 +46,7 @@ not: single frames hardly distinguish a die from its depth reversal, and the mot
 
 def with_lost_ranges_found(view: View, task: TrackingTask, poses: ClipPoses) -> ClipPoses:
     """The poses with those of ranges in which the die was lost while it was wholly in view, or in which the poses do not explain
-    the pictures or lie on no flight, found anew."""
+    the pictures or lie on no flight, found anew. Returns `poses` itself where nothing was found."""
     source, given_up = task.source, np.zeros(len(poses.known), bool)
     while (lost := _first_lost_range(view, source, poses, task.unused | given_up)) is not None:
         elsewhere = np.ones(len(given_up), bool)

@@ -27,10 +27,15 @@ from ..picture import View, with_corner_radius
 from ..pose import ClipPoses, as_track, wholly_in_view
 from ..throw import NoFlightError, measure
 from ..track import Track
-from .tracking_pass import NoDieError, track_once
+from .initialisation import MIN_HYPOTHESES
+from .tracking_pass import NoDieError, find_where_lost, track_once, track_throughout
 
 MAX_RADIUS_TRIALS = 3
 """Most tracking passes with an estimated radius of the corners."""
+TRIAL_FRAMES = MIN_HYPOTHESES
+"""Frames on which the initial pose of such a pass is searched at the most: as many as decide by agreement. With a radius that is
+not the die's none may be certain on any, and each hypothesis takes long to follow: of a sharp tetrahedron that turns far from
+frame to frame, 20 to 55 s a frame of the search."""
 SAME_RADIUS = 0.1
 """Relative change of the radius that needs no further pass."""
 SMALLER_RADIUS = 0.9
@@ -54,28 +59,31 @@ def track_rounded(
     """Poses from tracking, the view that they were tracked with, and the radius of the corners if it was estimated.
 
     Unless the radius is given, the pass is repeated with a rounded die if the pictures show one, until its flights show the
-    radius that it was done with. Raises NoDieError if no die was found."""
+    radius that it was done with. A rounded die that looked sharp must have been tracked over as many frames as the sharp one, or
+    over hardly fewer with a radius that its flights support. Raises NoDieError if no die was found."""
     if rounding is CornerRounding.GIVEN:
-        return *track_once(view, task), None
+        return *track_throughout(view, task), None
     first, poses = _track_sharp_or_round(view, task, rounding)
     corners = _radius_from_pictures(first, task.source, poses, rounding)
     if corners is None or corners.radius_m == 0.0:
         return first, poses, corners if rounding is CornerRounding.ESTIMATED else None
-    was_sharp = first.die.corner_radius_m == 0.0
-    if rounding is CornerRounding.TESTED and was_sharp and _flies_as_sharp(first, poses, task.source, corners.radius_m):
+    is_tested = rounding is CornerRounding.TESTED and first.die.corner_radius_m == 0.0
+    if is_tested and _flies_as_sharp(first, poses, task.source, corners.radius_m):
         return first, poses, None
     trials = _radius_trials(view, task, corners)
-    if rounding is CornerRounding.TESTED and was_sharp:
-        trials = [trial for trial in trials if _is_better_than_sharp(trial, poses, task.source)]
-        if not trials:
-            return first, poses, None
+    if is_tested:
+        trials = [trial for trial in trials if _explains_better_than_sharp(trial, poses, task.source)]
     if trials:
         most = max(trial.poses.frames for trial in trials)
         sufficient = [trial for trial in trials if trial.poses.frames >= SUFFICIENT_FRAMES * most]
         corners = sufficient[-1].corners
         # Poses with a smaller radius than the final one lie farther away than the latter implies.
-        chosen = min(sufficient, key=lambda trial: abs(trial.radius_m - sufficient[-1].corners.radius_m))
-        first, poses = chosen.view, chosen.poses
+        chosen = min(sufficient, key=lambda trial: abs(trial.radius_m - corners.radius_m))
+        found = find_where_lost(chosen.view, task, chosen.poses)
+        if not is_tested or found.frames >= (SUFFICIENT_FRAMES if chosen.is_supported else 1.0) * poses.frames:
+            return with_corner_radius(chosen.view, corners.radius_m), found, corners
+    if is_tested:
+        return first, poses, None
     return with_corner_radius(first, corners.radius_m), poses, corners
 
 
@@ -95,11 +103,11 @@ class _Trial:
 def _track_sharp_or_round(view: View, task: TrackingTask, rounding: CornerRounding) -> tuple[View, ClipPoses]:
     """A first pass with the view's radius; with a well-rounded die if none is found and the pictures then show one."""
     try:
-        return track_once(view, task)
+        return track_throughout(view, task)
     except NoDieError:
         # A die that is round all over is not found as one with sharp corners.
         ball = with_corner_radius(view, min(ROUND_SHARE * view.die.solid.inradius, largest_radius_m(view.die)))
-        first, poses = track_once(ball, task)
+        first, poses = track_throughout(ball, task)
         if _radius_from_pictures(first, task.source, poses, rounding) is None:
             raise
         return first, poses
@@ -111,7 +119,7 @@ def _radius_trials(view: View, task: TrackingTask, corners: CornerRadius) -> lis
     for _ in range(MAX_RADIUS_TRIALS):
         # From the original view: tracking a sharp die takes what its corners would cover for an occluder.
         try:
-            tracked_view, poses = track_once(with_corner_radius(view, radius_m), task)
+            tracked_view, poses = track_once(with_corner_radius(view, radius_m), task, TRIAL_FRAMES)
         except NoDieError:
             break  # so round that no initial pose is found; the poses tracked before remain
         use = wholly_in_view(tracked_view, poses) & poses.evenly_spaced
@@ -125,12 +133,9 @@ def _radius_trials(view: View, task: TrackingTask, corners: CornerRadius) -> lis
     return trials
 
 
-def _is_better_than_sharp(trial: _Trial, sharp: ClipPoses, source: FrameSource) -> bool:
-    """Whether a rounded die was tracked over as many frames as the sharp one, or over hardly fewer with a radius that its flights
-    support, and explains their pictures better. A sharp die out of focus looks a little rounded; with a radius that is not its
-    own it is lost, or tracked with poses that draw it worse."""
-    if trial.poses.frames < (SUFFICIENT_FRAMES if trial.is_supported else 1.0) * sharp.frames:
-        return False
+def _explains_better_than_sharp(trial: _Trial, sharp: ClipPoses, source: FrameSource) -> bool:
+    """Whether a rounded die explains the pictures that both show better than the sharp one. A sharp die out of focus looks a
+    little rounded; with a radius that is not its own it is lost, or tracked with poses that draw it worse."""
     both = sharp.known & trial.poses.known
     frames = (poses.sample(source.frame, both, RADIUS_FRAMES) for poses in (sharp, trial.poses))
     gain, sigma = gain_over_sharp(trial.view, trial.radius_m, *frames)

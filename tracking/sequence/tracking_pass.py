@@ -1,4 +1,4 @@
-"""The tracking pass: from the initial pose to both ends of the clip, back from its end through the impacts, and from another
+"""The tracking pass: from the initial pose to both ends of the clip, and back from its end through the impacts; then from another
 initial pose wherever the die was lost."""
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from ..picture import View, with_lens
 from ..pose import ClipPoses, wholly_in_view
 from .backward_pass import with_backward_poses
 from .depth_reversal import correct_depth_reversals
-from .initialisation import find_initial_pose, initial_pose_by_hand
+from .initialisation import MAX_FIRST_FRAMES, find_initial_pose, initial_pose_by_hand
 from .lost_ranges import with_lost_ranges_found
 
 
@@ -18,21 +18,34 @@ class NoDieError(InputError):
     """No die was found in the clip."""
 
 
-def track_once(view: View, task: TrackingTask) -> tuple[View, ClipPoses]:
+def track_throughout(view: View, task: TrackingTask) -> tuple[View, ClipPoses]:
+    """As `track_once`, with poses found wherever the die was lost."""
+    view, poses = track_once(view, task)
+    return view, find_where_lost(view, task, poses)
+
+
+def track_once(view: View, task: TrackingTask, most_frames: int = MAX_FIRST_FRAMES) -> tuple[View, ClipPoses]:
     """The poses of one pass, and the view with the lens blur estimated at its beginning; of a second pass if the first shows a
-    depth of field. Raises NoDieError where no die was found."""
-    tracked_view, poses = _track_once(view, task)
+    depth of field. Where the die was lost, it stays so: `find_where_lost`. Raises NoDieError where no die was found on
+    `most_frames` at the most."""
+    tracked_view, poses = _track_once(view, task, most_frames)
     lens = depth_of_field(
         tracked_view, poses.sample(task.source.frame, wholly_in_view(tracked_view, poses), BLUR_FRAMES)
     )
-    return (tracked_view, poses) if lens is None else _track_once(with_lens(view, lens), task)
+    return (tracked_view, poses) if lens is None else _track_once(with_lens(view, lens), task, most_frames)
 
 
-def _track_once(view: View, task: TrackingTask) -> tuple[View, ClipPoses]:
+def find_where_lost(view: View, task: TrackingTask, poses: ClipPoses) -> ClipPoses:
+    """The poses of a pass, with those found wherever the die was lost or followed wrongly."""
+    found = with_lost_ranges_found(view, task, poses)
+    return poses if found is poses else correct_depth_reversals(view, task.source, found, task.unused)
+
+
+def _track_once(view: View, task: TrackingTask, most_frames: int) -> tuple[View, ClipPoses]:
     """One pass."""
     source = task.source
     found = (
-        find_initial_pose(view, source, task.unused, task.report)
+        find_initial_pose(view, source, task.unused, task.report, most_frames)
         if task.by_hand is None
         else initial_pose_by_hand(view, source, task.by_hand, task.unused)
     )
@@ -46,5 +59,4 @@ def _track_once(view: View, task: TrackingTask) -> tuple[View, ClipPoses]:
     track_both_ways(tracker, task, poses)
     # The tracker's view contains the occluders that it found.
     poses = with_backward_poses(tracker.view, task, poses)
-    poses = with_lost_ranges_found(tracker.view, task, poses)
     return tracker.view, correct_depth_reversals(tracker.view, source, poses, task.unused)

@@ -13,7 +13,7 @@ from diethrow.model.throw.motion import Flight, Impact, State, Throw
 from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.frame_to_frame import TrackingTask
 from diethrow.tracking.sequence.lost_ranges import with_lost_ranges_found
-from diethrow.tracking.sequence.tracking_pass import track_once
+from diethrow.tracking.sequence.tracking_pass import track_throughout
 
 
 def test_tracking_resumes_where_the_die_was_lost_in_view() -> None:
@@ -66,7 +66,7 @@ def test_a_die_that_is_thrown_out_of_its_motion_is_found_on_the_next_frame() -> 
     throw, room = Throw((before, after), (jump,)), replace(ROOM, shadow=0.0)
     clip = film(room, die, throw, frames, fps=fps)
     task = TrackingTask(FrameSource([clip]), np.zeros(frames, bool), None, lambda frame: None)
-    view, poses = track_once(room.view(die), task)
+    view, poses = track_throughout(room.view(die), task)
     assert poses.known.all()
     labels = np.swapaxes(matrix_from_quat(throw.poses(clip.times_s)[1]), 1, 2) @ poses.rotation
     for flight in (labels[:12], labels[12:]):
