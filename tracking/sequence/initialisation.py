@@ -538,7 +538,7 @@ def _explains_better(view: View, source: FrameSource, k: int, one: Hypothesis, o
     _compare_on_same_pixels(view, source, k, [one, other])
     both = np.flatnonzero(one.poses.known & other.poses.known)
     late = both[len(both) // 2 :]
-    return one.misfit_on(late) < other.misfit_on(late)
+    return len(late) > 0 and one.misfit_on(late) < other.misfit_on(late)
 
 
 def _recent_score(hypothesis: Hypothesis, view: View, times_s: Array, stage: int) -> Score:

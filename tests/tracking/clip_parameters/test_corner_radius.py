@@ -32,6 +32,7 @@ from diethrow.tracking.clip_parameters.corner_radius import (
     rounding_gain,
 )
 from diethrow.tracking.footage import FrameSource
+from diethrow.tracking.frame_to_frame import TrackingTask
 from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.pose.refine import pose_state, refine_pose
 from diethrow.tracking.quality import FAST
@@ -301,10 +302,20 @@ def test_a_radius_with_which_the_die_is_lost_or_drawn_worse_is_discarded(
     sharp, rounded = ClipPoses.empty(120), ClipPoses.empty(120)
     sharp.known[:100] = True
     rounded.known[:frames] = True
-    trial = rounded_corners._Trial(1e-3, STUDIO.view(CUBE), rounded, borne_out, CornerRadius(1e-3, 1e-4))
-    monkeypatch.setattr(rounded_corners, "gain_over_sharp", lambda *_: (gain, 0.01))
+    view, radius = STUDIO.view(CUBE), CornerRadius(1e-3, 1e-4)
+    trial = rounded_corners._Trial(1e-3, view, rounded, borne_out, radius)
+    found = {
+        "_track_sharp_or_round": (view, sharp), "_radius_from_pictures": radius, "_flies_as_sharp": False,
+        "_radius_trials": [trial], "gain_over_sharp": (gain, 0.01),
+    }  # fmt: skip
+    for name, value in found.items():
+        monkeypatch.setattr(rounded_corners, name, lambda *_, value=value: value)
+    monkeypatch.setattr(rounded_corners, "find_where_lost", lambda view, task, poses: poses)
     source = FrameSource([ArrayClip(np.zeros((120, 4, 4), np.uint8), np.arange(120) / FPS, 8)])
-    assert rounded_corners._is_better_than_sharp(trial, sharp, source) is better
+    task = TrackingTask(source, np.zeros(120, bool), None, lambda frame: None)
+    _, poses, corners = rounded_corners.track_rounded(view, task, CornerRounding.TESTED)
+    assert (poses is rounded, corners is radius) == (better, better)
+    assert better or (poses is sharp and corners is None)
 
 
 @pytest.mark.parametrize("is_rounded_die", [False, True])
