@@ -366,7 +366,7 @@ def region_costs_on(
     view: View, image: Image, box: Box, positions_m: Array, rotations: Array,
     samples: int,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """`region_costs`; on a mirror the shadows that it does not show are added."""
+    """`region_costs` on any table; on a mirror the shadows that it does not show are added."""
     costs, differs = region_costs(view, image, box, positions_m, rotations, samples)
     if view.mirror:
         costs = costs + mirror_region_costs(view, image, box, positions_m, rotations, samples)

@@ -36,7 +36,7 @@ def track_once(view: View, task: TrackingTask, most_frames: int = MAX_FIRST_FRAM
 
 
 def find_where_lost(view: View, task: TrackingTask, poses: ClipPoses) -> ClipPoses:
-    """The poses of a pass, with those found wherever the die was lost or followed wrongly."""
+    """The poses of a pass, with those found wherever the die was lost or followed wrongly; `poses` itself if none were."""
     found = with_lost_ranges_found(view, task, poses)
     return poses if found is poses else correct_depth_reversals(view, task.source, found, task.unused)
 
