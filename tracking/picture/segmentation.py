@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from .edge_stretch import NORMAL_MAD
 
@@ -124,15 +125,26 @@ def pixel_noise(images: list[Image], background: Image, level_grey: float = 1.0)
 
 
 def background_noise(images: list[Image], background: Image, step_grey: float = 1.0) -> float:
-    """Standard deviation [grey] of a still pixel about the background, but not less than that of rounding to
-    `step_grey`.
+    """Standard deviation [grey] of a still pixel about the background, rounding to `step_grey` included.
 
     It is the smallest over the frames of the median absolute difference, because a die or its shadow only adds to it.
-    One pixel in four is used: 100 × 100 of them determine the noise to 2 %.
+    Differences between rounded values are whole steps, and so is their median: it is interpolated, as for a normal law,
+    between the shares of differences that lie within half a step less and half a step more. One pixel in four is used:
+    100 × 100 of them determine the noise to 2 %.
     """
     some = slice(None, None, 2)
-    spreads = [NORMAL_MAD * float(np.median(np.abs(image[some, some] - background[some, some]))) for image in images]
-    return max(min(spreads), ROUNDING_SHARE * step_grey)
+    medians = [_interpolated_median(np.abs(image[some, some] - background[some, some]), step_grey) for image in images]
+    return float(np.hypot(NORMAL_MAD * min(medians), ROUNDING_SHARE * step_grey))
+
+
+def _interpolated_median(sizes: Image, step: float) -> float:
+    size = sizes[~np.isnan(sizes)]  # the background of some pixels may be unknown
+    median = float(np.quantile(size, 0.5, method="lower"))
+    above = (np.ceil(median / step - 0.5) + 0.5) * step
+    below = max(above - step, 0.0)
+    share_below = np.mean(size <= below) if below > 0.0 else 0.0
+    score_below, score_above = ndtri(0.5 + 0.5 * np.array([share_below, np.mean(size <= above)]))
+    return below + (above - below) * float((1.0 / NORMAL_MAD - score_below) / (score_above - score_below))
 
 
 def noise_beside_die(image: Image, background: Image, noise_grey: float) -> float:
