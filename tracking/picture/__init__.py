@@ -84,11 +84,11 @@ from .occluders import OccluderMask as OccluderMask
 from .occluders import update_occluder_mask as update_occluder_mask
 from .pose_costs import clear_shares as clear_shares
 from .pose_costs import costs_with_edge_noise as costs_with_edge_noise
+from .pose_costs import edges_cost as edges_cost
 from .pose_costs import mirror_region_costs as mirror_region_costs
 from .pose_costs import region_costs as region_costs
 from .pose_costs import supports as supports
 from .region_cost import SUPPORT_COST as SUPPORT_COST
-from .region_cost import UNEXPLAINED_COST as UNEXPLAINED_COST
 from .region_cost import clear_steps_cost as clear_steps_cost
 from .region_cost import pose_cost as pose_cost
 from .region_cost import region_cost as region_cost

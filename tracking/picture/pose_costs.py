@@ -30,7 +30,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..placed_die import CLEAR_PX, CONTOUR_PX, EXPECTED_CLEAR_PX, LOG_NOISE, PIXELS
-from .region_cost import SHADOW_SQUARED_SIGMAS_CUT, SQUARED_SIGMAS_CUT, region_costs_in_box
+from .region_cost import (
+    SHADOW_SQUARED_SIGMAS_CUT,
+    SQUARED_SIGMAS_CUT,
+    SUPPORT_COST,
+    UNEXPLAINED_COST,
+    region_costs_in_box,
+)
 from .view import MIRRORED, Array, Image, View
 
 Box = tuple[int, int, int, int]
@@ -55,6 +61,12 @@ def region_costs(
         np.ascontiguousarray(positions_m, float), np.ascontiguousarray(rotations, float), costs, differs,
     )  # fmt: skip
     return costs, differs
+
+
+def edges_cost(clear_share: float, unexplained: float) -> float:
+    """What `pose_cost` adds to a region cost: for a contour of which only a share shows a clear step, and for the mean robust
+    cost of the edges' pixels."""
+    return SUPPORT_COST * (1.0 - clear_share) + UNEXPLAINED_COST * unexplained
 
 
 def costs_with_edge_noise(cost: Array, statistics: Array) -> Array:

@@ -19,9 +19,7 @@ from ...model.die import Die, Solid, inner_vertices
 from ...model.rotations import matrix_from_quat
 from ..footage import Decimation
 from ..picture import (
-    SUPPORT_COST,
     THREADS,
-    UNEXPLAINED_COST,
     Blob,
     Image,
     Mask,
@@ -30,6 +28,7 @@ from ..picture import (
     View,
     differs_clearly,
     differs_from_background,
+    edges_cost,
     largest_blob,
     make_view,
     mirror_region_costs,
@@ -339,7 +338,7 @@ def _search(view: View, images: Image, blob: Blob, box: Box) -> list[tuple[float
     places, turns = np.array([p.position_m for p in poses]), np.array([p.rotation for p in poses])
     costs, differs = region_costs_on(view, images[0], box, places, turns, JUDGED_PIXELS)
     return [
-        (float(cost) + SUPPORT_COST * (1.0 - pose.clear_share) + UNEXPLAINED_COST * pose.unexplained, pose)
+        (float(cost) + edges_cost(pose.clear_share, pose.unexplained), pose)
         for cost, share, pose in zip(costs, differs, poses, strict=True)
         if share > LEAST_DIFFERING_SHARE and pose.support > LEAST_SUPPORT
     ]

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..picture import PIXELS, ROBUST_COST, SUPPORT_COST, UNEXPLAINED_COST, Image, View
+from ..picture import PIXELS, ROBUST_COST, Image, View, edges_cost
 from .candidate_poses import JUDGED_PIXELS, region_costs_on
 from .clip_poses import ClipPoses
 from .refine_kernels import REGION_MARGIN_PX
@@ -43,5 +43,4 @@ def _own_region_cost(poses: ClipPoses, row: int) -> float:
     """The region cost in the cost of a pose, as in `pose_cost`."""
     statistics = poses.statistics[row]
     unexplained = statistics[ROBUST_COST] / max(statistics[PIXELS], 1.0)
-    steps = SUPPORT_COST * (1.0 - poses.clear_share[row])
-    return float(poses.cost[row] - steps - UNEXPLAINED_COST * unexplained)
+    return float(poses.cost[row] - edges_cost(poses.clear_share[row], unexplained))
