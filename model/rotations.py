@@ -1,8 +1,9 @@
 """Rotations as unit quaternions `wxyz` that take body axes to world axes.
 
-These are thin, vectorised functions over `scipy.spatial.transform.Rotation`, so that the whole package has one order of
-components. The paper's Euler angles (ψ, ϑ, φ; Kapitaniak et al., Chaos 22, 047504, Eq. 5) are the intrinsic z-x-z
-sequence: R = Rz(ψ) Rx(ϑ) Rz(φ).
+A fit asks tens of thousands of times for the rotation vectors of one or a few hundred poses, where the calls of
+`scipy.spatial.transform.Rotation` cost more than the arithmetic: these are written in NumPy. Matrices and Euler angles are
+scipy's. The paper's Euler angles (ψ, ϑ, φ; Kapitaniak et al., Chaos 22, 047504, Eq. 5) are the intrinsic z-x-z sequence:
+R = Rz(ψ) Rx(ϑ) Rz(φ).
 """
 
 from __future__ import annotations
@@ -14,6 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
+
+LEAST_SINE = 1e-150
+"""Sine of half an angle below which its ratio to that is its limit: the squares of smaller ones vanish."""
 
 
 def matrix_from_quat(quaternion: ArrayLike) -> Array:
@@ -33,15 +37,21 @@ def quat_from_matrix(matrix: ArrayLike) -> Array:
 def quat_from_rotvec(rotvec: ArrayLike) -> Array:
     """Unit quaternions (..., 4) wxyz of rotation vectors (..., 3) [rad]."""
     v = np.asarray(rotvec, float)
-    flat = Rotation.from_rotvec(v.reshape(-1, 3)).as_quat(scalar_first=True)
-    return np.asarray(flat.reshape(*v.shape[:-1], 4))
+    half = 0.5 * np.linalg.norm(v, axis=-1, keepdims=True)
+    return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * v], axis=-1)
 
 
 def rotvec_from_quat(quaternion: ArrayLike) -> Array:
-    """Rotation vectors (..., 3) [rad], no longer than pi, of quaternions (..., 4) wxyz."""
+    """Rotation vectors (..., 3) [rad], no longer than pi, of quaternions (..., 4) wxyz; NaN of what is NaN.
+
+    Of the two quaternions of a rotation, that of the shorter turn counts. The arctangent keeps all digits near 0 and pi.
+    """
     q = np.asarray(quaternion, float)
-    flat = Rotation.from_quat(q.reshape(-1, 4), scalar_first=True).as_rotvec()
-    return np.asarray(flat.reshape(*q.shape[:-1], 3))
+    w, v = q[..., :1], q[..., 1:]
+    sine = np.linalg.norm(v, axis=-1, keepdims=True)
+    small = sine < LEAST_SINE
+    ratio = np.where(small, 1.0, np.arctan2(sine, np.abs(w)) / np.where(small, 1.0, sine))
+    return np.asarray(np.copysign(2.0, w) * ratio * v)
 
 
 def quat_multiply(left: ArrayLike, right: ArrayLike) -> Array:
@@ -83,9 +93,11 @@ def angle_between(start: ArrayLike, end: ArrayLike) -> Array:
 
 def cross_matrix(vectors: Array) -> Array:
     """Matrices [v]× (..., 3, 3) of vectors v (..., 3): [v]× w = v × w."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    o = np.zeros_like(x)
-    return np.stack([np.stack([o, -z, y], -1), np.stack([z, o, -x], -1), np.stack([-y, x, o], -1)], -2)
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    matrices = np.zeros((*np.shape(x), 3, 3))
+    matrices[..., 0, 1], matrices[..., 0, 2], matrices[..., 1, 2] = -z, y, -x
+    matrices[..., 1, 0], matrices[..., 2, 0], matrices[..., 2, 1] = z, -y, x
+    return matrices
 
 
 def continuous_sign(quaternions: ArrayLike) -> Array:

@@ -478,17 +478,18 @@ def model_poses(physics: Physics, start: State, times_s: Array, vertices: tuple[
         parameters=passed,
         drag_per_m=physics.drag_per_m,
     )
-    columns = list(np.moveaxis(propagation.jacobian[:, :, :12], 2, 0))
-    by_name = dict(zip(names, np.moveaxis(propagation.jacobian[:, :, 12:], 2, 0), strict=True))
-    if "chi_fade_s_per_m" in by_name:
+    jacobian = np.empty((len(times_s), 6, 12 + len(physics.free)))
+    column = {name: k for k, name in enumerate(physics.free, start=12)}
+    jacobian[:, :, [*range(12), *(column[name] for name in names)]] = propagation.jacobian
+    if "chi_fade_s_per_m" in names:
         # The law has the speed scale, the inverse of the fade.
         fade = max(physics.values["chi_fade_s_per_m"], _MIN_FADE_S_PER_M)
-        by_name["chi_fade_s_per_m"] = -by_name["chi_fade_s_per_m"] / fade**2
-    if "clock_scale" in physics.free:
-        by_name["clock_scale"] = times_s[:, None] * propagation.throw.rates(clock * times_s)
-    if "length_scale" in physics.free:
-        by_name["length_scale"] = np.hstack([propagation.positions_m / length, np.zeros((len(times_s), 3))])
-    jacobian = np.stack([*columns, *(by_name[name] for name in physics.free)], axis=2)
+        jacobian[:, :, column["chi_fade_s_per_m"]] /= -(fade**2)
+    if "clock_scale" in column:
+        jacobian[:, :, column["clock_scale"]] = times_s[:, None] * propagation.throw.rates(clock * times_s)
+    if "length_scale" in column:
+        jacobian[:, :3, column["length_scale"]] = propagation.positions_m / length
+        jacobian[:, 3:, column["length_scale"]] = 0.0
     if length != 1.0:
         jacobian[:, :3] *= length
     return ModelPoses(length * propagation.positions_m, propagation.quaternions, jacobian, propagation)

@@ -140,8 +140,11 @@ def fit_trajectory(
     low[12:], high[12:] = room.reshape(-1, 2).T
     low[:12], high[:12] = displacement_bounds(start.state, physics.clock * observations.time_s)
 
+    latest: list[tuple[Array, FrameResiduals, Propagation]] = []
+
     def evaluate(x: Array) -> tuple[Array, Array]:
-        found, _ = _evaluated(observations, start, x, vertices, k2)
+        found, propagation = _evaluated(observations, start, x, vertices, k2)
+        latest[:] = [(x, found, propagation)]
         residuals, jacobian = huber(found.of_frames, found.by_frames, k2)
         jacobian = np.concatenate([jacobian.reshape(-1, jacobian.shape[2]), found.by_prior])
         # The derivative is by a rotation about the displaced orientation, the unknown one about the orientation of `start`.
@@ -150,7 +153,10 @@ def fit_trajectory(
 
     hopeless = _HOPELESS * k2 * len(observations)
     x = levenberg_marquardt(evaluate, start.root, low, high, tolerance=tolerance, hopeless=hopeless)
-    found, propagation = _evaluated(observations, start, x, vertices, k2)
+    last_x, found, propagation = latest[0]
+    if not np.array_equal(last_x, x):
+        # The last step raised the cost.
+        found, propagation = _evaluated(observations, start, x, vertices, k2)
     _, scaled = huber(found.of_frames, found.by_frames, k2)
     return replace(
         start,

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from random_throws import random_quaternion
+from scipy.spatial.transform import Rotation
 
 from diethrow.model.rotations import (
     angle_between,
@@ -56,6 +57,23 @@ def test_rotation_vectors_convert_back(angle):
     sign = np.sign(back @ axis) if angle == np.pi else 1.0
     # Relative, so that a turn of 1e-12 keeps its digits too.
     np.testing.assert_allclose(sign * back, angle * axis, rtol=1e-8 if angle > 3 else 1e-14, atol=1e-300)
+
+
+def test_rotation_vectors_are_those_of_scipy_from_no_turn_to_several():
+    rng = np.random.default_rng(12)
+    vectors = rng.normal(size=(2000, 3)) * 10.0 ** rng.uniform(-200.0, 1.5, (2000, 1))
+    by_scipy = Rotation.from_rotvec(vectors)
+    # Products of a few numbers of size one; half of 60 rad is known to 4e-15.
+    np.testing.assert_allclose(quat_from_rotvec(vectors), by_scipy.as_quat(scalar_first=True), atol=8e-15)
+    quaternions = some_quaternions(2000)
+    shorter = Rotation.from_quat(quaternions, scalar_first=True).as_rotvec()
+    np.testing.assert_allclose(rotvec_from_quat(quaternions), shorter, atol=4e-15)
+    np.testing.assert_array_equal(rotvec_from_quat(-quaternions), rotvec_from_quat(quaternions))
+
+
+def test_the_rotation_vector_of_an_unknown_rotation_is_nan():
+    known_and_not = np.array([[1.0, 0.0, 0.0, 0.0], [np.nan] * 4])
+    np.testing.assert_array_equal(rotvec_from_quat(known_and_not), [[0.0] * 3, [np.nan] * 3])
 
 
 @pytest.mark.parametrize("angle", ANGLES_RAD[:-1])
