@@ -69,6 +69,9 @@ MAX_FLIGHT_CHI2 = 16.0
 """Most squared sigmas between frames in flight and free motion: four numbers exceed that in three cases of a thousand."""
 LEAST_SUPPORT_CHI2 = 9.0
 """Least squared sigmas between free motion and the motion of a supported die for a window to distinguish them."""
+DECIDING_SHARE = 0.25
+"""Share of the windows that must distinguish them. A window across an impact follows neither motion, and with hops of ten frames
+half of the windows of eight are such; longer ones are all."""
 NEARER_SHARE = 0.25
 """Frames show a flight if their chi-square from free motion is below this share of that between the two: they are less than half
 as far, in sigmas, from the one as from the other."""
@@ -193,15 +196,15 @@ def _row_behind_flights(observations: WeightedPoses, first: int, die: Die, windo
     """The row behind the flights that follow from row `first`, itself if the die does not fly there, 0 if the frames do not
     decide; and whether these, enough of them behind the flights, show that the table supports the die from there on.
 
-    Windows of `window` frames, then of twice and four times as many, are tested until most of them distinguish flight from
-    support. Shorter intervals between two flights are ignored. A die whose centre of mass is not its centroid is not tested: its
-    centroid does not fall freely."""
+    Windows of `window` frames, then of twice and four times as many, are tested until enough of them (DECIDING_SHARE) distinguish
+    flight from support. Shorter intervals between two flights are ignored. A die whose centre of mass is not its centroid is not
+    tested: its centroid does not fall freely."""
     n = len(observations) - first if die.is_nearly_centred else 0
     while window <= n and observations.time_s[first + window - 1] - observations.time_s[first] < LONGEST_WINDOW_S:
         begins, free_chi2, support_chi2 = _accelerations(
             observations.rows(slice(first, len(observations))), window, die
         )
-        if np.median(support_chi2) > LEAST_SUPPORT_CHI2:
+        if np.mean(support_chi2 > LEAST_SUPPORT_CHI2) > DECIDING_SHARE:
             end, gap = 0, GAP_WINDOWS * max(window, FIRST_WINDOW)
             limit = np.minimum(MAX_FLIGHT_CHI2, NEARER_SHARE * support_chi2)
             for k in begins[(support_chi2 > LEAST_SUPPORT_CHI2) & (free_chi2 < limit)].tolist():
