@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.throw import Flight, State
+from ...model.world import GRAVITY_M_S2
 from . import flight_kernels as kernels
 from .chain_solver import MAX_LINK_SIZE, Stages, chain_covariance, empty_stages
 from .descent import CONTACT_SIGMA_M as CONTACT_SIGMA_M
@@ -66,7 +67,8 @@ TABLE_SIGMA_M = 3e-5
 LEVER_SHARE = 0.01
 """Tolerance of Δω = m I⁻¹ (r × Δv) as a share of Δω: drilled pips change I by a per cent."""
 MIN_LEVER_SIGMA_RAD_S = 0.3
-"""Least tolerance [rad/s] of the same: the contact is a patch of some 0.1 mm, not a point."""
+"""Least tolerance [rad/s] of the same under the usual gravity: the contact is a patch of some 0.1 mm, not a point. It goes with
+the velocities of throws, and these with the root of gravity."""
 LOST_SHARE = 0.25
 """A flight with a smaller share of its frames on it is lost: some frames lie on any motion by chance, as the first after an
 impact."""
@@ -231,12 +233,16 @@ def _descend(unknowns: _Unknowns, *, estimate_scale: bool, by_flight: bool, step
 # --- impacts at a vertex -----------------------------------------------------------------------------------------------
 
 
-def vertex_impact_equations(before: State, behind: State, impact: VertexImpact, table_m: float) -> tuple[Array, Array]:
+def vertex_impact_equations(
+    before: State, behind: State, impact: VertexImpact, table_m: float, gravity_m_s2: float
+) -> tuple[Array, Array]:
     """The four conditions of an impact at a vertex, in sigmas: derivatives (4, 25) with respect to the states before and behind,
     both at the instant of contact, and to that instant; and present values (4,)."""
     jump = np.concatenate([behind.velocity_m_s - before.velocity_m_s, behind.omega_rad_s - before.omega_rad_s])
     impacts = _vertex_impacts((Link(behind.time_s, impact=impact),))
-    found = _impact_equations(packed(before)[None], jump[None], impacts, table_m, _lever_sigma(jump[None]))
+    found = _impact_equations(
+        packed(before)[None], jump[None], impacts, table_m, _lever_sigma(jump[None], gravity_m_s2)
+    )
     rows, by_link = np.zeros((4, JOINT)), found.by_link[0]
     rows[:, :12], rows[:, 18:24], rows[:, 24] = found.by_end[0], by_link[:, 1:7], by_link[:, 0]
     rows[:, 6:12] -= by_link[:, 1:7]
@@ -247,7 +253,8 @@ def vertex_impact_cost(chain: FlightChain, k: int, impact: VertexImpact, table_s
     """Squared sigmas by which joined link k would cost more as that impact than with free jumps, to first order: the free
     motion's violation of the conditions over its uncertainty there."""
     before, behind = chain.flights[k].at(chain.links[k].time_s), chain.flights[k + 1].start
-    rows, violation = vertex_impact_equations(before, behind, impact, chain.table_m)
+    gravity_m_s2 = chain.flights[k].gravity_m_s2
+    rows, violation = vertex_impact_equations(before, behind, impact, chain.table_m, gravity_m_s2)
     covariance = np.eye(4) + rows @ chain.joint_covariance[k] @ rows.T
     covariance[0, 0] += (table_sigma_m / CONTACT_SIGMA_M) ** 2
     # By eigenvalues, none of which is below one: in a flight without frames some may overflow a Cholesky factor.
@@ -255,9 +262,10 @@ def vertex_impact_cost(chain: FlightChain, k: int, impact: VertexImpact, table_s
     return float(((vectors.T @ violation) ** 2 / np.maximum(values, 1.0)).sum())
 
 
-def _lever_sigma(jumps: Array) -> Array:
+def _lever_sigma(jumps: Array, gravity_m_s2: float) -> Array:
     """(N,) [rad/s] tolerance of Δω = m I⁻¹ (r × Δv) for jumps (N, 6)."""
-    return np.asarray(LEVER_SHARE * np.linalg.norm(jumps[:, 3:], axis=1) + MIN_LEVER_SIGMA_RAD_S)
+    least_rad_s = MIN_LEVER_SIGMA_RAD_S * np.sqrt(gravity_m_s2 / GRAVITY_M_S2)
+    return np.asarray(LEVER_SHARE * np.linalg.norm(jumps[:, 3:], axis=1) + least_rad_s)
 
 
 def _vertex_impacts(links: Sequence[Link]) -> VertexImpacts:
@@ -328,7 +336,7 @@ class _Unknowns:
         size = 12 + sum(link.size for link in links) + len(constant_sigma)
         data = ChainData(
             pose_arrays(observations), frame_information(observations, share), float(share[0]), is_open, impacts,
-            np.ascontiguousarray(constant_sigma, np.float64), _lever_sigma(jumps), spacing_s, size,
+            np.ascontiguousarray(constant_sigma, np.float64), _lever_sigma(jumps, observations.gravity_m_s2), spacing_s, size,
         )  # fmt: skip
         values = ChainValues(numbers[0].copy(), times_s, jumps, numbers[1:].copy(), np.zeros(len(constant_sigma)))
         return _Unknowns(observations, links, values, data, errors, share)

@@ -234,7 +234,8 @@ def _impact_equations(flights: Sequence[Flight], impact: ImpactConstraint) -> tu
     states, transitions = [flight.at(t) for flight in beside], [transition_matrix(flight, t) for flight in beside]
     rows, right = np.zeros((0, 26)), np.zeros(0)
     if impact.vertex_impact is not None:
-        law, violation = vertex_impact_equations(states[0], states[-1], impact.vertex_impact, 0.0)
+        gravity_m_s2 = beside[0].gravity_m_s2
+        law, violation = vertex_impact_equations(states[0], states[-1], impact.vertex_impact, 0.0, gravity_m_s2)
         by_table = np.array([[-1.0 / CONTACT_SIGMA_M], [0.0], [0.0], [0.0]])
         by_states = [law[:, :12] @ transitions[0], law[:, 12:24] @ transitions[-1]]
         rows, right = np.hstack([*by_states, law[:, 24:], by_table]), -violation

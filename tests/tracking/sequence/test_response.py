@@ -18,6 +18,8 @@ from diethrow.tracking.sequence.tracker import ClipFacts, track_clip
 Array = NDArray[np.float64]
 
 FRAMES = 40
+FILMS = 12
+"""Whose errors are compared: the ratio of two errors of one film scatters by a fifth."""
 SPIN_RAD_S = 80.0
 """Of each component: the frames show more than one side of the die."""
 BITS = 12
@@ -33,10 +35,10 @@ def encoded(light: Array, response: Response) -> Array:
 
 
 @cache
-def depth_and_nees(filmed: Response, given: Response, *, estimated: bool = False) -> tuple[float, float]:
+def depth_and_nees(filmed: Response, given: Response, *, estimated: bool = False, seed: int = 1) -> tuple[float, float]:
     """Median error [m] along the line of sight, and median squared distance from the truth in standard errors."""
     throw = falling_cube(FRAMES / FPS, spin_rad_s=SPIN_RAD_S)
-    linear = film(ROOM, CUBE, throw, FRAMES, bit_depth=BITS)
+    linear = film(ROOM, CUBE, throw, FRAMES, bit_depth=BITS, seed=seed)
     clip = ArrayClip(np.rint(encoded(linear.array, filmed)).astype(np.uint8), linear.times_s)
     table = np.rint(encoded(2.0 ** (BITS - 8) * ROOM.table, filmed)).astype(np.float32)
     track = track_clip(
@@ -57,11 +59,16 @@ def depth_and_nees(filmed: Response, given: Response, *, estimated: bool = False
     return float(np.median(np.abs(moved @ ROOM.camera.rotation[2]))), float(np.median(nees))
 
 
+def mean_over_films(filmed: Response, given: Response) -> Array:
+    """(2,) means of `depth_and_nees` over films with noise of their own: frames of one film share most of their error."""
+    return np.asarray(np.mean([depth_and_nees(filmed, given, seed=seed) for seed in range(1, FILMS + 1)], axis=0))
+
+
 @pytest.mark.parametrize("response", ["srgb", 0.45])
 def test_a_display_curve_that_is_given_costs_no_accuracy(response: Response) -> None:
-    linear_m, linear_nees = depth_and_nees("linear", None)
-    depth_m, nees = depth_and_nees(response, response)
-    # The curves resolve bright light in steps of two linear levels of 8 bits; the noise dithers them.
+    linear_m, linear_nees = mean_over_films("linear", None)
+    depth_m, nees = mean_over_films(response, response)
+    # The curves resolve bright light in steps of two linear levels of 8 bits, which raises its noise by a seventh.
     assert depth_m < 1.2 * linear_m
     assert nees < 1.5 * linear_nees
 

@@ -128,14 +128,14 @@ def test_the_rows_of_a_vertex_impact_are_the_derivatives_of_its_conditions(die: 
     impact = impact_at(die, throw.impacts[0].vertices[0])
     # A little off the conditions, so that no term is zero.
     a, b = perturbed(before.at(t), np.full(12, 1e-4)), perturbed(behind.at(t), np.full(12, -2e-4))
-    rows, violation = vertex_impact_equations(a, b, impact, 0.0)
+    rows, violation = vertex_impact_equations(a, b, impact, 0.0, 9.81)
     steps = np.concatenate([np.tile(np.repeat([1e-7, 1e-6, 1e-5, 1e-3], 3), 2), [1e-8]])
 
     def violations(change: Array) -> Array:
         starts = perturbed(a, change[:12]), perturbed(b, change[12:24])
         sides = [Flight(start, np.inf, turning=before.turning).at(t + change[24]) for start in starts]
         # The tolerance of the spin depends on the present jump.
-        new, scale = vertex_impact_equations(sides[0], sides[1], impact, 0.0)[1], np.ones(4)
+        new, scale = vertex_impact_equations(sides[0], sides[1], impact, 0.0, 9.81)[1], np.ones(4)
         scale[1:] = lever(sides) / lever([a, b])
         return np.asarray(new * scale)
 
