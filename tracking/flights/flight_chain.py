@@ -237,7 +237,8 @@ def vertex_impact_equations(
     before: State, behind: State, impact: VertexImpact, table_m: float, gravity_m_s2: float
 ) -> tuple[Array, Array]:
     """The four conditions of an impact at a vertex, in sigmas: derivatives (4, 25) with respect to the states before and behind,
-    both at the instant of contact, and to that instant; and present values (4,)."""
+    both at the instant of contact, and to that instant; and present values (4,). The sigma of the spin goes with the root of
+    gravity."""
     jump = np.concatenate([behind.velocity_m_s - before.velocity_m_s, behind.omega_rad_s - before.omega_rad_s])
     impacts = _vertex_impacts((Link(behind.time_s, impact=impact),))
     found = _impact_equations(

@@ -42,7 +42,7 @@ ROUGH_PX = 7
 LEAST_RING_PX = 200
 """Fewest pixels that show it."""
 NOISIER = 1.25
-"""Ratio of this noise to that of the still background from which it counts: it is larger on 6 of 40 random clips, most of which
+"""Ratio of this noise to that of the still background from which it counts: it is larger on 3 of 40 random clips, most of which
 have noise of one size everywhere."""
 LEAST_DIFFERENCE_GREY = 0.1
 """Least difference whose logarithm is taken."""
@@ -138,6 +138,7 @@ def background_noise(images: list[Image], background: Image, step_grey: float = 
 
 
 def _interpolated_median(sizes: Image, step: float) -> float:
+    """Median of sizes rounded to a step, as if they were not and followed a normal law (`background_noise`)."""
     size = sizes[~np.isnan(sizes)]  # the background of some pixels may be unknown
     median = float(np.quantile(size, 0.5, method="lower"))
     above = (np.ceil(median / step - 0.5) + 0.5) * step
