@@ -74,6 +74,8 @@ class Track:
     shared_errors: SharedErrors | None = None
     """Those that a fit of the whole throw integrates out; None where they are part of `covariance`, or cameras, die and clock are
     exact."""
+    unexplained: NDArray[np.bool_] | None = None
+    """(n,) frames that no flight explains, to which no model is fitted. None where no flights were measured."""
     gravity_m_s2: float = GRAVITY_M_S2
     """Of the place where the die was filmed, along -z. In no file: the scene says it."""
     turning: Turning = EVEN

@@ -77,7 +77,7 @@ class FlightObservations:
 
 
 def flight_observations(track: Track, measured: Throw) -> FlightObservations:
-    """The usable frames of a track: tracked, finite, and clear of every measured impact.
+    """The usable frames of a track: tracked, finite, explained by a flight, and clear of every measured impact.
 
     Raises ValueError if the columns of the track have different lengths.
     """
@@ -89,6 +89,8 @@ def flight_observations(track: Track, measured: Throw) -> FlightObservations:
     interval = float(np.median(np.diff(track.time_s))) if n > 1 else 0.0
     poses = np.hstack([track.position_m, track.quaternion])
     usable = track.tracked & np.isfinite(poses).all(1) & np.isfinite(track.time_s)
+    if track.unexplained is not None:
+        usable &= ~track.unexplained
     for impact in measured.impacts:
         frames = UNRESOLVED_FRAMES if impact.contact == "unresolved" else _CLEARANCE_FRAMES
         usable &= np.abs(track.time_s - impact.time_s) >= frames * interval

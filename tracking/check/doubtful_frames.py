@@ -48,7 +48,10 @@ def doubtful_frame_notices(found: MeasuredThrow, smoothed: Track) -> tuple[str, 
     beside = _beside_unresolved(found, smoothed) & (residual_sigmas > MAX_SIGMAS_BESIDE_UNRESOLVED) & ~scattered
     most = np.max(residual_sigmas[beside], initial=0.0)
     kinds = (
-        (found.unexplained, "No flight explains {}: what is said of them rests on single pictures."),
+        (
+            found.unexplained,
+            "No flight explains {}: what is said of them rests on single pictures, and no model is fitted to them.",
+        ),
         (
             scattered,
             f"The poses of {{}} differ from their flight by {largest:.0f} times the errors that they state: {DOUBT}.",

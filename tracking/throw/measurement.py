@@ -111,7 +111,7 @@ class MeasuredThrow:
         uncertainty. What a model is fitted to, together with the errors of cameras, die and clock."""
         independent = _independent(self.frames_on_table, self.throw, self.chain, self.shared_covariance)
         errors = self.calibration.errors
-        return replace(independent, shared_errors=errors) if errors.sources else independent
+        return replace(independent, shared_errors=errors if errors.sources else None, unexplained=self.unexplained)
 
     @property
     def smoothed_frames(self) -> Track:

@@ -4,8 +4,9 @@
 
 | array | what |
 | --- | --- |
-| `format` | version of this file: 1 |
+| `format` | version of this file: 2 |
 | `frame` (n,) | frame numbers, those of the table |
+| `unexplained` (n,) | whether no flight explains a frame: no model is fitted to it |
 | `flight_state` (f, 14) | beginning of each flight: t [s], position [m], quaternion wxyz, velocity [m/s], spin [rad/s] |
 | `flight_end_s` (f,) | its end |
 | `flight_covariance` (f, 12, 12) | of position, rotation vector, velocity and spin, world axes |
@@ -35,7 +36,7 @@ from ..tracking.track import CALIBRATION, CLOCK, DIE, SharedErrors, Track
 
 Array = NDArray[np.float64]
 
-FORMAT = 1
+FORMAT = 2
 """Version of the file."""
 IMPACT_COLUMNS = (
     *("time_s", "sigma_time_s", "x_m", "y_m", "impulse_x_N_s", "impulse_y_N_s", "impulse_z_N_s"),
@@ -75,6 +76,9 @@ def write_measured_throw(track_path: Path, tracked: TrackedThrow) -> None:
         throw_path(track_path),
         format=np.array(FORMAT),
         frame=tracked.frames.frame,
+        unexplained=np.zeros(len(tracked.frames), bool)
+        if tracked.frames.unexplained is None
+        else tracked.frames.unexplained,
         flight_state=np.array([packed(flight.start) for flight in flights]),
         flight_end_s=np.array([flight.end_s for flight in flights]),
         flight_covariance=np.array([unknown if one.covariance is None else one.covariance for one in flights]),
@@ -122,6 +126,7 @@ def _tracked_throw(arrays: dict[str, NDArray], frames: Track, die: Die) -> Track
         )
     m = len(arrays["shared_subtracted"])
     wanted = {
+        "unexplained": (n,),
         "flight_state": (count, 14),
         "flight_covariance": (count, 12, 12),
         "impact_numbers": (count - 1, len(IMPACT_COLUMNS)),
@@ -151,7 +156,7 @@ def _tracked_throw(arrays: dict[str, NDArray], frames: Track, die: Die) -> Track
     shared = SharedErrors(arrays["shared_jacobian"], sources, arrays["shared_subtracted"]) if m else None
     numbers = tuple(int(number) or None for number in arrays["face_numbers"])
     return TrackedThrow(
-        replace(frames, shared_errors=shared, turning=turning),
+        replace(frames, shared_errors=shared, unexplained=arrays["unexplained"].astype(bool), turning=turning),
         Throw(tuple(flights), tuple(impacts)),
         with_numbers(die, FaceNumbers(numbers, 1.0, "")),
         numbers,

@@ -326,3 +326,14 @@ def test_a_table_and_a_track_under_different_gravity_are_refused() -> None:
     _, track, measured = cube_throw()
     with pytest.raises(ValueError, match=r"gravity_m_s2 = 1\.62 of the table and 9\.81 of the track"):
         fit_throw(track, measured, CUBE, Table(gravity_m_s2=1.62))
+
+
+def test_poses_that_no_flight_explains_change_nothing() -> None:
+    _, track, measured = cube_throw()
+    wrong = np.abs(track.time_s - measured.impacts[1].time_s - 0.01) < 0.006
+    assert wrong.sum() > 10
+    position = track.position_m + 2e-3 * wrong[:, None]
+    doubted = fit_throw(replace(track, position_m=position, unexplained=wrong), measured, CUBE)
+    without = fit_throw(replace(track, status=np.where(wrong, LOST, track.status)), measured, CUBE)
+    assert chi_of(doubted) == chi_of(without)
+    assert chi_of(doubted) != chi_of(fit_throw(replace(track, position_m=position), measured, CUBE))
