@@ -2,7 +2,8 @@
 
 Without a picture of the empty scene the background is first estimated from all frames together, and holds what the die shows
 where it stays for long: at its highest point, or where it comes to rest. Once the die is tracked, the frames in which it covers a
-pixel are known."""
+pixel are known. So are those before its first pose, and after the last, over which its flight leads on: there a die that comes
+into view and then stays on the table has not yet covered it."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ from ..pose import ClipPoses
 Array = NDArray[np.float64]
 
 EMPTY_SCENE_FRAMES = 60
-"""Most frames that are used."""
+"""Most frames with poses that are used, and most beyond them."""
 LEAST_UNCOVERED = 5
 """Least number of frames that show a pixel beside the die; others keep the grey level that they had."""
 MARGIN_PX = 4
@@ -37,17 +38,20 @@ class EmptyScene:
     """Share of the pixels behind the die that differ from those of the view, of the camera where it is largest."""
 
 
-def empty_scene(view: View, source: FrameSource, poses: ClipPoses) -> EmptyScene:
-    """The backgrounds of a view with the pixels that the die covers on some frames measured on the others."""
-    known = np.flatnonzero(poses.known)
-    rows = known[np.unique(np.linspace(0, len(known) - 1, min(EMPTY_SCENE_FRAMES, len(known))).astype(int))]
-    pictures = np.stack([source.frame(int(k)) for k in rows])
+def empty_scene(view: View, source: FrameSource, poses: ClipPoses, unused: Mask) -> EmptyScene:
+    """The backgrounds of a view with the pixels that the die covers on some frames measured on the others, but for those that are
+    `unused` (n,)."""
+    rows = _spread(np.flatnonzero(poses.known))
+    beyond = [one for step in (-1, 1) for one in _flight_beyond(view, source, poses, step) if not unused[one[0]]]
+    beyond = [beyond[k] for k in _spread(np.arange(len(beyond)))]
+    pictures = np.stack([source.frame(int(k)) for k in (*rows, *(k for k, _ in beyond))])
     backgrounds, shares = view.backgrounds.copy(), []
     for c, camera in enumerate(view.cameras):
         inside = backgrounds[c, : camera.height_px, : camera.width_px]
         before = inside.copy()
         covered = np.stack([_covered(view, c, poses, int(k)) for k in rows])
         behind = covered.any(0)
+        covered = np.concatenate([covered, *(_covered_from(view, c, corners_m)[None] for _, corners_m in beyond)])
         frames = pictures[:, c, : camera.height_px, : camera.width_px]
         inside[behind] = _median_where(~covered[:, behind], frames[:, behind], before[behind])
         changed = differs_from_background(inside, before, view.noise_grey, view.level_grey)
@@ -55,13 +59,39 @@ def empty_scene(view: View, source: FrameSource, poses: ClipPoses) -> EmptyScene
     return EmptyScene(backgrounds, max(shares))
 
 
+def _spread(rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """At most EMPTY_SCENE_FRAMES of some rows, evenly spread."""
+    return rows[np.unique(np.linspace(0, len(rows) - 1, min(EMPTY_SCENE_FRAMES, len(rows))).astype(int))]
+
+
+def _flight_beyond(view: View, source: FrameSource, poses: ClipPoses, step: int) -> list[tuple[int, Array]]:
+    """The rows before the first pose (`step` -1) or after the last (1) over which the die flies on, too high to touch the table,
+    with the corners (8, 3) [m] of a box about it."""
+    known = np.flatnonzero(poses.known)
+    end = int(known[0] if step < 0 else known[-1])
+    rows = np.arange(end + step, -1 if step < 0 else len(poses.known), step)
+    passed_s = (source.times_s[rows] - source.times_s[end])[:, None]
+    fall_m = 0.5 * view.gravity_m_s2 * passed_s**2 * np.array([0.0, 0.0, 1.0])
+    centres_m = poses.position_m[end] + passed_s * poses.motion[end, :3] - fall_m
+    low = np.flatnonzero(centres_m[:, 2] < view.reach_m)
+    flying = slice(0, int(low[0]) if len(low) else len(rows))
+    box_m = view.reach_m * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    return [(int(row), centre_m + box_m) for row, centre_m in zip(rows[flying], centres_m[flying], strict=True)]
+
+
 def _covered(view: View, c: int, poses: ClipPoses, k: int) -> Mask:
     """(height, width) the pixels of camera `c` that the die, moving during the exposure, or its reflection covers on a frame."""
-    camera = view.cameras[c]
     arms = view.die.solid.vertices @ poses.rotation[k].T
     velocity_m_s, omega_rad_s = np.split(poses.motion[k], 2)
     path = 0.5 * view.exposure_s * (velocity_m_s + arms @ cross_matrix(omega_rad_s).T)
-    corners_m = np.concatenate([poses.position_m[k] + arms + path, poses.position_m[k] + arms - path])
+    return _covered_from(
+        view, c, np.concatenate([poses.position_m[k] + arms + path, poses.position_m[k] + arms - path])
+    )
+
+
+def _covered_from(view: View, c: int, corners_m: Array) -> Mask:
+    """(height, width) the pixels of camera `c` that a body with corners (n, 3) [m], or its reflection, covers."""
+    camera = view.cameras[c]
     out = outline_mask(camera, corners_m)
     if view.mirror:
         out |= outline_mask(camera, corners_m * [1.0, 1.0, -1.0])

@@ -252,7 +252,7 @@ def _track_before_empty_scene(
     found = track_rounded(view, task, rounding)
     if all(picture is not None for picture in given):
         return view.background, found
-    scene = empty_scene(view, task.source, found[1])
+    scene = empty_scene(view, task.source, found[1], task.unused)
     if scene.changed_share <= MOST_CHANGED:
         return view.background, found
     is_given = np.array([picture is not None for picture in given])[:, None, None]

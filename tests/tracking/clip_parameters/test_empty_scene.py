@@ -25,6 +25,7 @@ ROOM = replace(studio(), noise_grey=2.0)
 CUBE = DICE["cube"]
 FRAMES = 60
 REACH_M = CUBE.solid.circumradius
+NONE_UNUSED = np.zeros(FRAMES, bool)
 
 
 @cache
@@ -48,6 +49,8 @@ def true_poses(frames: range) -> ClipPoses:
     poses = ClipPoses.empty(FRAMES)
     position, quaternion = slow_cube().poses(slow_clip().times_s)
     poses.position_m[:], poses.rotation[:] = position, matrix_from_quat(quaternion)
+    states = [slow_cube().at(float(time_s)) for time_s in slow_clip().times_s]
+    poses.motion[:] = [np.concatenate([state.velocity_m_s, state.omega_rad_s]) for state in states]
     poses.known[list(frames)] = True
     return poses
 
@@ -58,7 +61,7 @@ def view_before(background: NDArray[np.float32]) -> View:
 
 def test_the_scene_behind_a_die_that_hardly_moves_is_that_of_the_frames_beside_it() -> None:
     estimated = estimate_background(slow_clip())
-    found = empty_scene(view_before(estimated), FrameSource([slow_clip()]), true_poses(range(FRAMES)))
+    found = empty_scene(view_before(estimated), FrameSource([slow_clip()]), true_poses(range(FRAMES)), NONE_UNUSED)
     error = found.backgrounds[0] - ROOM.table
     # The cube covers the pixels in its middle for three quarters of the clip, one face as long as the table is seen. With 15
     # frames left a median has a third of their noise.
@@ -70,9 +73,20 @@ def test_the_scene_behind_a_die_that_hardly_moves_is_that_of_the_frames_beside_i
 def test_what_no_frame_shows_beside_the_die_keeps_its_grey_level() -> None:
     few = true_poses(range(LEAST_UNCOVERED - 1))
     before = np.full_like(ROOM.table, 77.0)
-    found = empty_scene(view_before(before), FrameSource([slow_clip()]), few)
+    found = empty_scene(view_before(before), FrameSource([slow_clip()]), few, ~few.known)
     np.testing.assert_array_equal(found.backgrounds[0], before)
     assert found.changed_share == 0.0
+
+
+def test_frames_over_which_the_flight_leads_on_show_what_lies_behind_the_die() -> None:
+    late = true_poses(range(FRAMES - 12, FRAMES))
+    before = np.full_like(ROOM.table, 77.0)
+    found = empty_scene(view_before(before), FrameSource([slow_clip()]), late, NONE_UNUSED)
+    measured = found.backgrounds[0] != 77.0
+    # Over 12 frames the cube moves by half its reach, and covers what lies behind its middle on all of them.
+    alone = empty_scene(view_before(before), FrameSource([slow_clip()]), late, ~late.known)
+    assert measured.sum() > 1.5 * (alone.backgrounds[0] != 77.0).sum()
+    assert np.abs(found.backgrounds[0] - ROOM.table)[measured].max() < 5.0
 
 
 def test_a_die_is_tracked_as_well_without_a_picture_of_the_empty_scene() -> None:
