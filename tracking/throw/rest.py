@@ -60,6 +60,9 @@ HOP_WINDOW = 5
 MAX_WINDOW_FRAMES = 128
 """Frames that are used of a window, or up to twice as many, evenly spread: more of a film far faster than the die have correlated
 errors, and would count as more information than they are."""
+RATE_WINDOW_S = 5e-3
+"""Duration [s] over which velocity and spin of a supported die are means, or two frame intervals if these last longer: long
+against the errors of poses, and short against the time in which a die rolls from one face to the next."""
 GAP_WINDOWS = 2
 """Longest interval between two flights, in windows of FIRST_WINDOW or more frames, that is not taken for support: flights shorter
 than a window are not detected."""
@@ -104,14 +107,9 @@ class SupportedMotion(Flight):
 
     def at(self, time_s: float) -> State:
         """The state at any instant; before the first frame and after the last the die does not move."""
-        positions, quaternions = self.poses(np.array([time_s]))
-        k = int(np.clip(np.searchsorted(self.times_s, time_s), 1, len(self.times_s) - 1))
-        dt = float(self.times_s[k] - self.times_s[k - 1])
-        inside = self.times_s[0] <= time_s <= self.times_s[-1]
-        rate = 1.0 / dt if inside else 0.0
-        velocity = rate * (self.positions_m[k] - self.positions_m[k - 1])
-        omega = rate * rotation_between(self.quaternions[k - 1], self.quaternions[k])
-        return State(float(time_s), positions[0], quaternions[0], velocity, omega)
+        instant = np.array([time_s])
+        (positions, quaternions), rates = self.poses(instant), self.rates(instant)[0]
+        return State(float(time_s), positions[0], quaternions[0], rates[:3], rates[3:])
 
     def poses(self, times_s: ArrayLike) -> tuple[Array, Array]:
         """Positions (n, 3) [m] and quaternions (n, 4) wxyz at times (n,) [s]."""
@@ -120,6 +118,18 @@ class SupportedMotion(Flight):
         positions = np.stack([np.interp(times, self.times_s, column) for column in self.positions_m.T], axis=1)
         quaternions = np.stack([np.interp(times, self.times_s, column) for column in signed.T], axis=1)
         return positions, quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+
+    def rates(self, times_s: ArrayLike) -> Array:
+        """Velocities [m/s] and angular velocities [rad/s] (n, 6), world axes, at times (n,) [s]: means over RATE_WINDOW_S
+        about each. Before the first frame and after the last the die does not move."""
+        times, first_s, last_s = np.asarray(times_s, float), self.times_s[0], self.times_s[-1]
+        interval_s = float(np.median(np.diff(self.times_s))) if len(self.times_s) > 1 else 0.0
+        half_s = max(0.5 * RATE_WINDOW_S, interval_s)
+        begin_s, end_s = (np.clip(times + offset_s, first_s, last_s) for offset_s in (-half_s, half_s))
+        (here_m, here), (there_m, there) = self.poses(begin_s), self.poses(end_s)
+        moves = (times >= first_s) & (times <= last_s) & (end_s > begin_s)
+        passed_s = np.where(moves, end_s - begin_s, np.inf)[:, None]
+        return np.asarray(np.hstack([there_m - here_m, rotation_between(here, there)]) / passed_s)
 
 
 # --- where the flights end ---------------------------------------------------------------------------------------------

@@ -9,11 +9,12 @@ import pytest
 from throws import random_release, seen, true_throw
 
 from diethrow.model.die import Die, make_die
-from diethrow.model.rotations import quat_from_rotvec, quat_multiply
+from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
+from diethrow.model.throw import State
 from diethrow.tracking.flights import WeightedPoses
 from diethrow.tracking.throw import measurement
 from diethrow.tracking.throw.measurement import NoFlightError, measure_throw
-from diethrow.tracking.throw.rest import first_supported_row
+from diethrow.tracking.throw.rest import SupportedMotion, first_supported_row
 
 ICOSAHEDRON = make_die("icosahedron", 0.011, 0.0036)
 CUBE = make_die("cube", 0.0106, 0.0015)
@@ -128,3 +129,27 @@ def test_an_impact_behind_the_last_frame_in_flight_ends_the_measurement(monkeypa
     monkeypatch.setattr(measurement, "_count_to_last_rebound", lambda impacts, low_s: 0)
     with pytest.raises(NoFlightError, match="show the die in flight"):
         measure_throw(track, ICOSAHEDRON, every=8)
+
+
+def test_a_supported_die_moves_as_its_frames_show() -> None:
+    """A cube that rolls ever more slowly until it lies still: velocity and spin are the derivatives of its poses, not a fall."""
+    time_s = 0.2 + np.arange(200) / 1000.0
+    left_s = np.maximum(0.35 - time_s, 0.0)
+    angle = 100.0 * left_s**2
+    quaternion = quat_from_rotvec(angle[:, None] * [0.0, 1.0, 0.0])
+    position = np.stack([0.01 * angle, np.zeros(200), np.full(200, 0.005)], axis=1)
+    start = State(0.19, position[0], quaternion[0], np.zeros(3), np.zeros(3))
+    moving = SupportedMotion(start, 0.4, times_s=time_s, positions_m=position, quaternions=quaternion)
+    some_s = np.linspace(0.21, 0.39, 37)
+    rates = moving.rates(some_s)
+    spin_rad_s = -200.0 * np.maximum(0.35 - some_s, 0.0)
+    # A mean over five milliseconds departs by 0.13 rad/s where the die comes to lie, and nowhere else.
+    assert rates[:, 4] == pytest.approx(spin_rad_s, abs=0.2)
+    assert rates[:, 0] == pytest.approx(0.01 * spin_rad_s, abs=2e-3)
+    np.testing.assert_allclose(rates[:, [1, 2, 3, 5]], 0.0, atol=1e-9)
+    np.testing.assert_array_equal(rates[some_s > 0.36], 0.0)
+    (here_m, here), (there_m, there) = moving.poses(some_s - 1e-3), moving.poses(some_s + 1e-3)
+    assert rates[:, :3] == pytest.approx((there_m - here_m) / 2e-3, abs=2e-3)
+    assert rates[:, 3:] == pytest.approx(rotation_between(here, there) / 2e-3, abs=0.2)
+    assert moving.at(0.3).omega_rad_s == pytest.approx([0.0, -10.0, 0.0], abs=1e-6)
+    np.testing.assert_array_equal(moving.rates([0.1, 0.5]), 0.0)
