@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ...model.die import Die
 from ...model.throw import Flight, State, turning_of
-from ..picture import SUPPORT_COST, View, region_costs
+from ..picture import View, edges_cost, region_costs
 from ..pose import Pose, same_picture, seen_distance_m
 from .acceptance import BOUNCE_REACH, HEIGHT_SIGMAS
 from .even_rotation import even_rotation
@@ -152,7 +152,7 @@ def costs_on_one_window(view: View, image: NDArray[np.float32], poses: list[Pose
     x1, y1 = np.clip(px.max(0) + 1.0, (x0 + 2, y0 + 2), size).astype(int).tolist()
     first = image[0] if image.ndim == 3 else image
     costs, _ = region_costs(view, first, (x0, y0, x1, y1), places, turns, WINDOW_SAMPLES)
-    return costs + SUPPORT_COST * (1.0 - np.array([pose.clear_share for pose in poses]))
+    return costs + np.array([edges_cost(pose.clear_share, 0.0) for pose in poses])
 
 
 @dataclass(frozen=True, eq=False)
