@@ -172,19 +172,24 @@ def _die_with_parent() -> None:
         os._exit(1)
 
 
+_ENVIRONMENT = threading.Lock()
+
+
 @contextmanager
 def _limits_in_environment() -> Iterator[None]:
-    """One thread per library in the processes started within the block."""
-    before = {name: os.environ.get(name) for name in THREAD_LIMITS}
-    os.environ.update(dict.fromkeys(THREAD_LIMITS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+    """One thread per library in the processes started within the block. Blocks wait for each other: one that ends within another
+    would lift its limits."""
+    with _ENVIRONMENT:
+        before = {name: os.environ.get(name) for name in THREAD_LIMITS}
+        os.environ.update(dict.fromkeys(THREAD_LIMITS, "1"))
+        try:
+            yield
+        finally:
+            for name, value in before.items():
+                if value is None:
+                    os.environ.pop(name, None)
+                else:
+                    os.environ[name] = value
 
 
 class _OneThread:
