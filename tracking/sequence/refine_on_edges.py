@@ -49,6 +49,9 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Jobs = Callable[[Frames, Rows, Executor], list[Future[None]]]
 
+RUNS = 2
+"""Runs into which the frames of a block are divided, each for one thread. The light on a die whose whole surface is compared is
+learned along a run: its frames are one, since a second would begin without light, and put such dice up to 1.6 mm away."""
 MIN_IN_VIEW = 0.3
 """Least share of the corners in view for a frame to be refined."""
 SECOND_START_RAD = np.radians(1.5)
@@ -204,13 +207,14 @@ class _Attempt:
             np.zeros((n, PARAMETERS, PARAMETERS)), np.zeros((n, STATISTICS)), np.full(n, np.inf),
         )  # fmt: skip
         self.position_m, self.rotation = self._found.position, self._found.rotation
+        self._runs = 1 if n and view.shows_surface(np.median(self.position_m, axis=0)) else RUNS
 
     def refine(self, frames: Frames, shown: Rows, pool: Executor) -> list[Future[None]]:
         """Refine those rows that are among some pictures (n, cameras, height, width) of rows `shown` (n,), in the threads of a
         pool. Returns the jobs submitted."""
         own, which = among(self.rows, shown)
         settings = self._settings if self._compared[shown].any() else self._settings._replace(region_pixels=0)
-        cuts = np.linspace(0, len(which), THREADS + 1).astype(int).tolist()
+        cuts = np.linspace(0, len(which), self._runs + 1).astype(int).tolist()
         return [
             pool.submit(self._refine_rows, frames, which[a:b], slice(own.start + a, own.start + b), settings)
             for a, b in pairwise(cuts)

@@ -9,12 +9,13 @@ import pytest
 from footage_of_throws import DICE, FPS, film, studio
 from numpy.typing import NDArray
 
-from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, rotation_between
+from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotation_between
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.tracking.clip_parameters.clock_offsets import ClockOffsets
 from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.pose.refine import covariances
+from diethrow.tracking.sequence import refine_on_edges
 from diethrow.tracking.sequence.refine_on_edges import EdgeRefinement
 
 Array = NDArray[np.float64]
@@ -84,3 +85,22 @@ def test_a_flight_is_not_followed_into_the_table() -> None:
         refined = refinement.refine(every, lambda _: None)
         assert refined.known[2:].all()
         assert refined.known[0] == (first == 0)
+
+
+def test_poses_of_a_rounded_die_are_the_same_with_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    room, die = replace(studio(), noise_grey=2.0), DICE["cube"].with_corner_radius(0.002)
+    start = State(
+        0.0, np.array([0.0, 0.0, 0.03]), quat_from_rotvec(np.array([0.5, 0.3, 0.1])), np.zeros(3), 20.0 * np.ones(3)
+    )
+    throw = Throw((Flight(start, np.inf),), ())
+    clip, view, tracked = film(room, die, throw, FRAMES), room.view(die), ClipPoses.empty(FRAMES)
+    assert view.shows_surface(start.position_m)
+    position, quaternion = throw.poses(clip.times_s)
+    tracked.position_m[:], tracked.rotation[:] = position, matrix_from_quat(quaternion)
+    tracked.motion[:], tracked.known[:] = throw.rates(clip.times_s), True
+    every, found = np.ones(FRAMES, bool), []
+    for threads in (1, 2):
+        monkeypatch.setattr(refine_on_edges, "THREADS", threads)
+        refinement = EdgeRefinement(view, FrameSource([clip]), tracked, throw, every, ClockOffsets.none(1))
+        found.append(refinement.refine(every, lambda _: None))
+    np.testing.assert_array_equal(found[0].position_m, found[1].position_m)
