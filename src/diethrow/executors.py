@@ -173,6 +173,7 @@ def _die_with_parent() -> None:
 
 
 _ENVIRONMENT = threading.Lock()
+"""Held while the environment has the limits of workers."""
 
 
 @contextmanager

@@ -13,9 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.rotations import cross_matrix
+from ...model.rotations import cross_matrix, quat_from_matrix
+from ...model.throw import State
 from ..footage import FrameSource
-from ..picture import Image, Mask, View, differs_from_background, outline_mask
+from ..picture import Image, Mask, View, differs_from_background, flight_from, outline_mask
 from ..pose import ClipPoses
 
 Array = NDArray[np.float64]
@@ -70,9 +71,10 @@ def _flight_beyond(view: View, source: FrameSource, poses: ClipPoses, step: int)
     known = np.flatnonzero(poses.known)
     end = int(known[0] if step < 0 else known[-1])
     rows = np.arange(end + step, -1 if step < 0 else len(poses.known), step)
-    passed_s = (source.times_s[rows] - source.times_s[end])[:, None]
-    fall_m = 0.5 * view.gravity_m_s2 * passed_s**2 * np.array([0.0, 0.0, 1.0])
-    centres_m = poses.position_m[end] + passed_s * poses.motion[end, :3] - fall_m
+    velocity_m_s, omega_rad_s = np.split(poses.motion[end], 2)
+    quaternion = quat_from_matrix(poses.rotation[end])
+    state = State(float(source.times_s[end]), poses.position_m[end], quaternion, velocity_m_s, omega_rad_s)
+    centres_m, _ = flight_from(view, state).poses(source.times_s[rows])
     low = np.flatnonzero(centres_m[:, 2] < view.reach_m)
     flying = slice(0, int(low[0]) if len(low) else len(rows))
     box_m = view.reach_m * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])

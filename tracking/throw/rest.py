@@ -26,7 +26,7 @@ from scipy.ndimage import median_filter
 from ...model.die import Die, inner_vertices
 from ...model.engine.asymmetric import TorqueFree
 from ...model.rotations import continuous_sign, matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
-from ...model.throw import Flight, State, Throw
+from ...model.throw import Flight, Throw
 from ..flights import WeightedPoses, fit_flights, pose_jacobian, unpacked
 from ..track import LOST, Track
 from .flight_segmentation import contact_reach_m
@@ -104,12 +104,6 @@ class SupportedMotion(Flight):
     """(n, 3)."""
     quaternions: Array
     """(n, 4) wxyz."""
-
-    def at(self, time_s: float) -> State:
-        """The state at any instant; before the first frame and after the last the die does not move."""
-        instant = np.array([time_s])
-        (positions, quaternions), rates = self.poses(instant), self.rates(instant)[0]
-        return State(float(time_s), positions[0], quaternions[0], rates[:3], rates[3:])
 
     def poses(self, times_s: ArrayLike) -> tuple[Array, Array]:
         """Positions (n, 3) [m] and quaternions (n, 4) wxyz at times (n,) [s]."""
