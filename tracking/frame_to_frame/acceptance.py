@@ -37,6 +37,13 @@ NEW_FLIGHT_RAD = radians(2.0)
 ON_PATH_CHI2 = 30.0
 """Normalised innovation squared (six numbers) up to which a pose lies on the predicted path: one in 25 000 of honest poses lies
 farther off."""
+SAME_FLIGHT_CHI2 = 16.0
+"""The same up to which a pose belongs to its flight although turned by more than `NEW_FLIGHT_RAD`: a face seen alone tells
+its tilt to some degrees only. One in 70 of honest poses lies farther off; the weakest impact of four clips had 19."""
+YOUNG_FLIGHT_CHI2 = 5.35
+"""The same of a flight whose spin is known so badly that impacts would pass: half of honest poses lie nearer."""
+YOUNG_FLIGHT_POSES = 6.0
+"""Poses below which a flight is one of these."""
 BOUNCE_REACH = 0.35
 """Height of the lowest corner, in circumradii, below which an impact may have occurred between two frames."""
 HEIGHT_SIGMAS = 3.0

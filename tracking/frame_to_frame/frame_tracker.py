@@ -73,6 +73,7 @@ from .impact_trials import (
     different_rates,
     initial_covariance,
     is_high,
+    leaves_flight,
     motion_of_poses,
     widest_sigma,
 )
@@ -565,16 +566,10 @@ class FrameTracker:
         """Update the motion with the pose of this frame. If that lies far from the prediction, a new motion begins with the
         velocities of the initial state that led to it."""
         self.misses = 0
-        distance = float(
-            seen_distance_m(self.view.rig, pose.position_m, pose.position_m - predicted[:3], self.view.reach_m)
-        )
-        angle = angle_between(pose.rotation, R)
-        count = float(self.clock[2])
-        high = is_high(self.view, predicted[:3], R, P)
-        far_reach, far_rad = (FIRST_POSES_REACH, FIRST_POSES_RAD) if high else (NEW_FLIGHT_REACH, NEW_FLIGHT_RAD)
+        count, ahead = float(self.clock[2]), MotionEstimate(predicted, R, P, self.view.gravity_m_s2, self.clock)
         leads_on = np.array_equal(start.velocity_m_s, predicted[3:6])
         known = MIN_POSES_OF_FLIGHT if leads_on else MIN_POSES_BEFORE_IMPACT
-        if count >= known and (distance > far_reach * self.view.reach_m or angle > far_rad):
+        if count >= known and leaves_flight(self.view, pose, ahead):
             last = _state(float(self.clock[0]), self.motion, self.rotation)
             self._rates_after_impact = different_rates(
                 beyond_impacts(self.view.die, last, time_s, self.view.gravity_m_s2), frame_s

@@ -17,12 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die
+from ...model.rotations import angle_between
 from ...model.throw import Flight, State, turning_of
 from ..picture import View, edges_cost, region_costs
 from ..pose import Pose, same_picture, seen_distance_m
-from .acceptance import BOUNCE_REACH, HEIGHT_SIGMAS
+from .acceptance import BOUNCE_REACH, HEIGHT_SIGMAS, NEW_FLIGHT_RAD, NEW_FLIGHT_REACH
 from .even_rotation import even_rotation
-from .motion_filter import lowest_m
+from .motion_filter import (
+    FIRST_POSES_RAD,
+    FIRST_POSES_REACH,
+    MotionEstimate,
+    innovation_squared,
+    lowest_m,
+    same_flight_chi2,
+)
 
 Array = NDArray[np.float64]
 
@@ -238,6 +246,20 @@ def widest_sigma(P: Array, first: int) -> float:
     """The largest standard deviation of three numbers of a motion, from its covariance (12, 12). Predicted back to where they
     were known, variances cancel, and rounding may make them negative."""
     return float(np.sqrt(max(np.diag(P)[first : first + 3].max(), 0.0)))
+
+
+def leaves_flight(view: View, pose: Pose, ahead: MotionEstimate) -> bool:
+    """Whether a pose lies farther from where its flight leads than that allows, and, where it is turned there, than the errors of
+    both explain: `motion_filter.track_frames` decides by the same bounds."""
+    predicted, R, P = ahead.x, ahead.rotation, ahead.P
+    high = is_high(view, predicted[:3], R, P)
+    far_reach, far_rad = (FIRST_POSES_REACH, FIRST_POSES_RAD) if high else (NEW_FLIGHT_REACH, NEW_FLIGHT_RAD)
+    gone_m = seen_distance_m(view.rig, pose.position_m, pose.position_m - predicted[:3], view.reach_m)
+    turned = float(angle_between(pose.rotation, R))
+    if gone_m > far_reach * view.reach_m or turned > FIRST_POSES_RAD:
+        return True
+    off = innovation_squared(predicted, R, P, pose.position_m, pose.rotation, pose.H, view.settings)
+    return bool(turned > far_rad and off >= same_flight_chi2(ahead.clock[2]))
 
 
 def is_high(view: View, position_m: Array, rotation: Array, P: Array) -> bool:

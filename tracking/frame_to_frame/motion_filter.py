@@ -63,7 +63,10 @@ from .acceptance import (
     ON_PATH_CHI2,
     ON_PATH_SUPPORT,
     PRIOR_SIGMAS,
+    SAME_FLIGHT_CHI2,
     USUAL_COST_FRAMES,
+    YOUNG_FLIGHT_CHI2,
+    YOUNG_FLIGHT_POSES,
 )
 
 COVARIANCE_GROWTH = 1.06
@@ -216,7 +219,7 @@ def _innovation(x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, settings: Refine
     return inverse_positive(A, np.int64(6), S), S, z
 
 
-@inner_nogil
+@compiled(nogil=True)
 def innovation_squared(x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, settings: RefinementSettings) -> float:
     """Normalised innovation squared of a pose: its squared distance from a predicted motion in the sigmas of both."""
     exists, S, z = _innovation(x, R, P, p, Q, H, settings)
@@ -227,6 +230,12 @@ def innovation_squared(x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, settings:
         for b in range(6):
             total += z[a] * S[a, b] * z[b]
     return total
+
+
+@compiled(nogil=True)
+def same_flight_chi2(poses: float) -> float:
+    """Normalised innovation squared below which a turned pose belongs to a flight of so many poses."""
+    return YOUNG_FLIGHT_CHI2 if poses < YOUNG_FLIGHT_POSES else SAME_FLIGHT_CHI2
 
 
 @compiled(nogil=True)
@@ -312,11 +321,14 @@ def track_frames(
         high = lowest_m(shape, ahead, R_ahead) - HEIGHT_SIGMAS * sigma_m > BOUNCE_REACH * reach
         if not new and high:
             far_m, far_rad = FIRST_POSES_REACH * reach, FIRST_POSES_RAD
-        if not new and seen and turned < far_rad:
+        if not new and seen and turned < FIRST_POSES_RAD:
             off = innovation_squared(ahead, R_ahead, P_ahead, p, Q, equations.H, settings)
-            if off > path_chi2:
+            if turned >= far_rad:
+                if off < same_flight_chi2(clock[2]):
+                    far_rad = FIRST_POSES_RAD
+            elif off > path_chi2:
                 return k
-            if off < ON_PATH_CHI2:
+            elif off < ON_PATH_CHI2:
                 confirmed = True
                 allowed = ANY_COST if clear_px > WELL_SEEN * statistics[CONTOUR_PX] else MAX_EXCESS_COST
                 far_m = FIRST_POSES_REACH * reach

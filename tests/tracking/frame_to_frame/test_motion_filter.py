@@ -94,12 +94,7 @@ def test_a_flight_ends_only_where_the_table_is_near(height_m: float, ends: bool)
     assert tracker.clock[2] == (1.0 if ends else 11.0)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="two degrees off begin a flight whatever the picture knows; a gate by the errors of pose and prediction mends two of "
-    "63 random clips, loses a third, and costs a fourth its chi, and three standard errors of the prediction did no better",
-)
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, 1, 4])
 def test_a_face_seen_alone_may_be_inclined_as_its_picture_does_not_show(seed: int) -> None:
     """A tetrahedron near the table that turns one face to the camera, 31 pixels an edge: its inclination is known to some
     degrees, which is no impact. Each flight begun by mistake forgets the motion, and the die slides into another triangle."""

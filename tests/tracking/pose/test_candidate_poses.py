@@ -157,12 +157,12 @@ def test_a_die_cut_by_the_border_gives_no_initial_pose() -> None:
 
 
 def test_where_a_candidate_ends_does_not_depend_on_where_it_began() -> None:
-    """From 5 % too near and 5 % too far, of a small, well-rounded and shiny cube. After a single refinement these poses still lie
-    half a circumradius apart, or more."""
+    """From 5 % too near and 5 % too far, of a small, well-rounded and shiny cube: both ends are one to a standard error, which is
+    what the picture tells. After a single refinement these poses still lie half a circumradius apart, or more."""
     small = replace(make_die("cube", 0.008, 0.0006), corner_radius_m=1e-3)
     view = ROOM.view(small)
     reach_m, eye_m = small.solid.circumradius, view.camera.centre_m
-    for seed in range(4):
+    for seed in range(6):
         rng = np.random.default_rng(seed)
         state = still(rng)
         picture = photograph_rounded(ROOM, small, state, rng, gloss_grey=40.0)
@@ -170,7 +170,9 @@ def test_where_a_candidate_ends_does_not_depend_on_where_it_began() -> None:
         once = [refine_pose(view, picture, start) for start in starts]
         near, far = (_settled(view, picture[None], [(0.0, pose)], STILL, 0)[0][1] for pose in once)
         assert np.linalg.norm(once[1].position_m - once[0].position_m) > 0.4 * reach_m
-        assert np.linalg.norm(far.position_m - near.position_m) < 0.02 * reach_m
+        turned = rotvec_from_quat(quat_from_matrix(far.rotation @ near.rotation.T))
+        apart = np.concatenate([far.position_m - near.position_m, turned])
+        assert apart @ np.linalg.solve(far.covariance, apart) < 1.0
         assert np.linalg.norm(far.position_m - state.position_m) < 0.2 * reach_m
 
 
