@@ -95,7 +95,9 @@ TWO_COARSE_PX = 0.6
 ONE_COARSE_PX = 0.3
 """The same for one coarse step."""
 ENOUGH_EXCESS_COST = 0.1
-"""Cost above the usual up to which a pose of a well-rounded die is not compared with others (`refine_uncertain`)."""
+"""Cost above the usual, or that of the frame before if it is larger, up to which a pose of a well-rounded die is not compared
+with others (`refine_uncertain`). Costs rise as other faces come into view, and a pose that begins without light was then often
+taken for the better one: what many frames had shown of the light was lost."""
 LIGHT_FRAMES = 8
 """One in so many poses of a flight is compared in any case: the usual cost follows that of a pose that leads away."""
 DELAY_ITERATIONS = 3
@@ -288,7 +290,7 @@ def track_frames(
     equations, A = new_equations(), np.zeros((6, 6))
     work.shared_grey[:] = 0.0
     statistics = equations.statistics
-    reach, moved = reach_of_die(shape), np.zeros(3)
+    reach, moved, last_cost = reach_of_die(shape), np.zeros(3), 0.0
     for k in range(frames.shape[0]):
         ahead, P_ahead = x.copy(), P.copy()
         late = predicted_delay(rig, x, times[k] - clock[0], motion.gravity)
@@ -302,7 +304,7 @@ def track_frames(
         if windows.pixels.shape[1] == 0:
             return k
         prior = motion_prior(P_ahead, settings)
-        enough = clock[1] + ENOUGH_EXCESS_COST if clock[2] % LIGHT_FRAMES > 0.0 else 0.0
+        enough = max(clock[1], last_cost) + ENOUGH_EXCESS_COST if clock[2] % LIGHT_FRAMES > 0.0 else 0.0
         p, Q, cost = refine_uncertain(windows, model, predicted, prior, coarse, enough, work, equations)
         new = clock[2] < MIN_POSES_OF_FLIGHT
         far_m = FIRST_POSES_REACH * reach if new else NEW_FLIGHT_REACH * reach
@@ -348,6 +350,7 @@ def track_frames(
         clock[0] = times[k] + exposure_delay(rig, p)
         clock[1] = usual + (cost - usual) / min(clock[2] + 1.0, USUAL_COST_FRAMES)
         clock[2] += 1.0
+        last_cost = cost
         store_frame(k, p, Q, cost, equations, rows)
         for a in range(6):
             for b in range(6):

@@ -87,6 +87,12 @@ FALL_SIGMAS = 3.0
 TUMBLING_G = 2.0
 """Downward acceleration, in g, that a die's spin would take to stay on the table, beyond which it flies: with little more than
 one it hops, too low to be seen."""
+SLIDING_G = 2.0
+"""Acceleration across the table, in g, beyond which no friction pushes a die: it hops."""
+LONGER_SPAN = 4.0 / 3.0
+"""Ratio of the spans of neighbouring frames from which a hop is measured."""
+LEAST_ASIDE = 1e-3
+"""Way across the table by a unit of height below which it counts as none: of a camera above."""
 TURN_RAD = 0.2
 """Turn [rad] of a die that just stays on the table over the frames between which its spin is taken: some times the error of a
 pose."""
@@ -314,8 +320,8 @@ def on_table(track: Track, rows: NDArray[np.int64], die: Die, table_m: float, ta
     """The track with the poses of its frames `rows`, over which the table supports the die, conditioned on the contact.
 
     The lowest point is on the table, whose height `table_m` is known to `table_sigma_m`, or hops by LEVEL_SHARE at most, taken
-    for two sigmas. That determines the height, which one camera hardly sees, since it is distance. A frame too far off
-    (HOPPING_CHI2) stays as it is."""
+    for two sigmas, or, with one sigma, anywhere within a hop that its path shows (`_hop_heights_m`). That determines the height,
+    which one camera hardly sees, since it is distance. A frame too far off (HOPPING_CHI2) stays as it is."""
     p, q, C = track.position_m[rows], track.quaternion[rows], track.covariance[rows]
     corners = matrix_from_quat(q) @ inner_vertices(die.solid, die.corner_radius_m).T
     low = np.argmin(corners[:, 2], axis=1)
@@ -324,15 +330,60 @@ def on_table(track: Track, rows: NDArray[np.int64], die: Die, table_m: float, ta
     # ẑ·(δp + δθ × r)
     row = np.stack([np.zeros_like(x), np.zeros_like(x), np.ones_like(x), y, -x, np.zeros_like(x)], axis=1)
     with_height = np.einsum("nij,nj->ni", C, row)
-    sigma_m = np.hypot(0.5 * LEVEL_SHARE * die.solid.edge_m, table_sigma_m)
-    variance = (row * with_height).sum(1) + sigma_m**2
-    gain = np.where(height**2 < HOPPING_CHI2 * variance, 1.0 / variance, 0.0)[:, None] * with_height
-    change = -gain * height[:, None]
+    of_height = (row * with_height).sum(1)
+    # How poses move with the height that they are given, and what else leaves them open.
+    by_height = with_height / of_height[:, None]
+    apart = C - by_height[:, :, None] * with_height[:, None, :]
+    level = p - height[:, None] * by_height[:, :3]
+    hop = _hop_heights_m(
+        track.time_s[rows], level, by_height, apart, LEVEL_SHARE * die.solid.edge_m, track.gravity_m_s2
+    )
+    sigma_m = np.hypot(0.5 * np.maximum(LEVEL_SHARE * die.solid.edge_m, hop), table_sigma_m)
+    variance, off = of_height + sigma_m**2, height - 0.5 * hop
+    gain = np.where(off**2 < HOPPING_CHI2 * variance, 1.0 / variance, 0.0)[:, None] * with_height
+    change = -gain * off[:, None]
     position, quaternion, covariance = track.position_m.copy(), track.quaternion.copy(), track.covariance.copy()
     position[rows] += change[:, :3]
     quaternion[rows] = quat_multiply(quat_from_rotvec(change[:, 3:]), q)
     covariance[rows] = C - gain[:, :, None] * with_height[:, None, :]
     return replace(track, position_m=position, quaternion=quaternion, covariance=covariance)
+
+
+def _hop_heights_m(
+    times_s: Array, level_m: Array, by_height: Array, apart: Array, least_m: float, gravity_m_s2: float
+) -> Array:
+    """(n,) [m] heights of the hops, if higher than `least_m`, that frames are part of; 0 where they show none.
+
+    A hop that is taken for a die on the table seems to slide away from the camera and back. A hop of the duration 2τ is g τ²/2
+    high, and seems to slide by s times as much, where the positions `level_m` (n, 3) on the table move sideways by s with each
+    unit of height (`by_height` (n, 6)): no friction pushes a die that fast where s is large, and where it is small the distance
+    is known without. Of each frame the place between those w before and w behind is taken away, and of the first and the last
+    that on the line of two others, with errors `apart` (n, 6, 6)."""
+    n, hop, w = len(times_s), np.zeros(len(times_s)), 1
+    squared = np.maximum((by_height[:, :2] ** 2).sum(1), LEAST_ASIDE**2)
+    away = -by_height[:, :2] / np.sqrt(squared)[:, None]
+    variance = np.einsum("ni,nij,nj->n", away, apart[:, :2, :2], away)
+    while 2 * w < n:
+        inner = np.arange(w, n - w)
+        here = np.r_[inner, 0, n - 1]
+        one, other = np.r_[inner - w, w, n - 1 - w], np.r_[inner + w, 2 * w, n - 1 - 2 * w]
+        share = (times_s[here] - times_s[one]) / (times_s[other] - times_s[one])
+        place = (1.0 - share)[:, None] * level_m[one, :2] + share[:, None] * level_m[other, :2]
+        slid = ((level_m[here, :2] - place) * away[here]).sum(1)
+        sigma = np.sqrt(variance[here] + (1.0 - share) ** 2 * variance[one] + share**2 * variance[other])
+        pushed = (
+            0.5 * SLIDING_G * gravity_m_s2 * np.abs((times_s[here] - times_s[one]) * (times_s[here] - times_s[other]))
+        )
+        height = slid / np.sqrt(squared[here])
+        is_short = np.abs(times_s[other] - times_s[here]) < 0.5 * LONGEST_WINDOW_S
+        shows = is_short & (height > least_m) & (slid > pushed + LEVEL_SIGMAS * sigma)
+        for k, high_m in zip(here[shows], height[shows], strict=True):
+            part = slice(max(k - w + 1, 0), k + w)
+            hop[part] = np.maximum(hop[part], high_m)
+        if not is_short.any():
+            break
+        w = max(w + 1, round(LONGER_SPAN * w))
+    return hop
 
 
 def flights_only(throw: Throw) -> Throw:
