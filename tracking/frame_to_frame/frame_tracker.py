@@ -287,7 +287,10 @@ class FrameTracker:
         )  # fmt: skip
         motion = MotionEstimate(self.motion, self.rotation, self.P, self.view.gravity_m_s2, self.clock)
         model = self.view.model(self.view.tracking_settings)
-        done = track_frames(frames, times_s[rows], model, self._occluders, motion, surprise_chi2, found, self._work)
+        turned_share = float(self.searches)
+        done = track_frames(
+            frames, times_s[rows], model, self._occluders, motion, surprise_chi2, turned_share, found, self._work
+        )
         poses.put_rows(rows[:done], PoseRows(*(values[:done] for values in found)))
         return int(done)
 
@@ -569,7 +572,7 @@ class FrameTracker:
         count, ahead = float(self.clock[2]), MotionEstimate(predicted, R, P, self.view.gravity_m_s2, self.clock)
         leads_on = np.array_equal(start.velocity_m_s, predicted[3:6])
         known = MIN_POSES_OF_FLIGHT if leads_on else MIN_POSES_BEFORE_IMPACT
-        if count >= known and leaves_flight(self.view, pose, ahead):
+        if count >= known and leaves_flight(self.view, pose, ahead, float(self.searches)):
             last = _state(float(self.clock[0]), self.motion, self.rotation)
             self._rates_after_impact = different_rates(
                 beyond_impacts(self.view.die, last, time_s, self.view.gravity_m_s2), frame_s

@@ -248,7 +248,7 @@ def widest_sigma(P: Array, first: int) -> float:
     return float(np.sqrt(max(np.diag(P)[first : first + 3].max(), 0.0)))
 
 
-def leaves_flight(view: View, pose: Pose, ahead: MotionEstimate) -> bool:
+def leaves_flight(view: View, pose: Pose, ahead: MotionEstimate, turned_share: float) -> bool:
     """Whether a pose lies farther from where its flight leads than that allows, and, where it is turned there, than the errors of
     both explain: `motion_filter.track_frames` decides by the same bounds."""
     predicted, R, P = ahead.x, ahead.rotation, ahead.P
@@ -259,7 +259,7 @@ def leaves_flight(view: View, pose: Pose, ahead: MotionEstimate) -> bool:
     if gone_m > far_reach * view.reach_m or turned > FIRST_POSES_RAD:
         return True
     off = innovation_squared(predicted, R, P, pose.position_m, pose.rotation, pose.H, view.settings)
-    return bool(turned > far_rad and off >= same_flight_chi2(ahead.clock[2]))
+    return bool(turned > far_rad and off >= turned_share * same_flight_chi2(ahead.clock[2]))
 
 
 def is_high(view: View, position_m: Array, rotation: Array, P: Array) -> bool:

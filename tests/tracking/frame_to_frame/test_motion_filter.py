@@ -117,6 +117,7 @@ def test_a_face_seen_alone_may_be_inclined_as_its_picture_does_not_show(seed: in
     pose = refine_pose(view, np.asarray(source.frame(0), np.float32), first, coarse=0)
     rates = np.concatenate([start.velocity_m_s, spin])
     tracker = FrameTracker.from_pose(view, pose, source.times_s, 0, np.zeros(frames, bool), rates)
+    tracker.searches = True
     poses = ClipPoses.empty(frames)
     poses.put(0, pose, rates)
     tracker.track_to_end(source, poses, lambda frame: None, all_frames=True)
