@@ -287,10 +287,8 @@ class FrameTracker:
         )  # fmt: skip
         motion = MotionEstimate(self.motion, self.rotation, self.P, self.view.gravity_m_s2, self.clock)
         model = self.view.model(self.view.tracking_settings)
-        turned_share = float(self.searches)
-        done = track_frames(
-            frames, times_s[rows], model, self._occluders, motion, surprise_chi2, turned_share, found, self._work
-        )
+        limits = np.array([surprise_chi2, float(self.searches)])
+        done = track_frames(frames, times_s[rows], model, self._occluders, motion, limits, found, self._work)
         poses.put_rows(rows[:done], PoseRows(*(values[:done] for values in found)))
         return int(done)
 

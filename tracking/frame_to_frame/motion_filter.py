@@ -274,15 +274,16 @@ def update_motion(x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, settings: Refi
 
 @compiled(nogil=True)
 def track_frames(
-    frames: Any, times: Any, model: PictureModel, occluders: OccluderMask, motion: MotionEstimate, path_chi2: float,
-    turned_share: float, rows: PoseRows, work: Workspace,
+    frames: Any, times: Any, model: PictureModel, occluders: OccluderMask, motion: MotionEstimate, limits: Any,
+    rows: PoseRows, work: Workspace,
 ) -> int:  # fmt: skip
     """Track a die in flight over frames (n, cameras, height, width) at `times` (n,) until a frame that its motion does
     not explain.
 
     Returns the number of frames that it explains; the `rows` (n,) are filled that far and the `motion` is moved there.
-    A pose whose normalised innovation squared exceeds `path_chi2` ends the tracking in any case. Of that which a turned pose may
-    have (`same_flight_chi2`) `turned_share` counts: 0 for a hypothesis, whose turned poses speak against it. Occluders that are
+    A pose whose normalised innovation squared exceeds the first of the `limits` (2,) ends the tracking in any case. The second is
+    the share that counts of what a turned pose may have (`same_flight_chi2`): 0 for a hypothesis, whose turned poses speak
+    against it. Occluders that are
     found enter the mask, and the backgrounds of the model become NaN there. The workspace holds what the frames before
     showed of the light on the die, and gets what these show.
     """
@@ -327,9 +328,9 @@ def track_frames(
         if not new and seen and turned < FIRST_POSES_RAD:
             off = innovation_squared(ahead, R_ahead, P_ahead, p, Q, equations.H, settings)
             if turned >= far_rad:
-                if off < turned_share * same_flight_chi2(clock[2]):
+                if off < limits[1] * same_flight_chi2(clock[2]):
                     far_rad = FIRST_POSES_RAD
-            elif off > path_chi2:
+            elif off > limits[0]:
                 return k
             elif off < ON_PATH_CHI2:
                 confirmed = True
