@@ -57,8 +57,6 @@ from .acceptance import (
     MIN_POSES_OF_FLIGHT,
     MIN_SUPPORT,
     MIN_SUPPORT_CUT,
-    NEW_FLIGHT_RAD,
-    NEW_FLIGHT_REACH,
     ON_PATH_CHI2,
     PREDICTED_SIGMAS,
     SEEN_REACH,
@@ -69,6 +67,7 @@ from .acceptance import (
 from .impact_trials import (
     MotionOfPoses,
     beyond_impacts,
+    bounds_of_flight,
     costs_on_one_window,
     different_rates,
     initial_covariance,
@@ -78,8 +77,6 @@ from .impact_trials import (
     widest_sigma,
 )
 from .motion_filter import (
-    FIRST_POSES_RAD,
-    FIRST_POSES_REACH,
     MotionEstimate,
     motion_prior,
     predict_motion,
@@ -143,7 +140,8 @@ class FrameTracker:
         self.misses = 0
         """Frames without a pose since the last one with a pose."""
         self.searches = False
-        """Whether an initial pose is searched where the die was lost. A hypothesis that others compete with shall not."""
+        """Whether an initial pose is searched where the die was lost, and a turned pose may belong to its flight: neither of a
+        hypothesis that others compete with."""
         self._next_search, self._search_wait = 1, 1
         self._fastest_m_s = np.inf
         """Speed of the die's centre with all the energy that it had, apart from its height, when its motion was last known."""
@@ -444,7 +442,7 @@ class FrameTracker:
     def _far(self, expected: State, P: Array) -> tuple[float, float]:
         """Distance [m] and angle [rad] from the prediction beyond which a pose belongs to another flight."""
         high = is_high(self.view, expected.position_m, expected.rotation, P)
-        reach, rad = (FIRST_POSES_REACH, FIRST_POSES_RAD) if high else (NEW_FLIGHT_REACH, NEW_FLIGHT_RAD)
+        reach, rad = bounds_of_flight(high)
         sigmas = PREDICTED_SIGMAS * widest_sigma(P, 0), PREDICTED_SIGMAS * widest_sigma(P, 3)
         return max(reach * self.view.reach_m, sigmas[0]), max(rad, sigmas[1])
 

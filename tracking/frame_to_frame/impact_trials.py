@@ -252,14 +252,20 @@ def leaves_flight(view: View, pose: Pose, ahead: MotionEstimate, turned_share: f
     """Whether a pose lies farther from where its flight leads than that allows, and, where it is turned there, than the errors of
     both explain: `motion_filter.track_frames` decides by the same bounds."""
     predicted, R, P = ahead.x, ahead.rotation, ahead.P
-    high = is_high(view, predicted[:3], R, P)
-    far_reach, far_rad = (FIRST_POSES_REACH, FIRST_POSES_RAD) if high else (NEW_FLIGHT_REACH, NEW_FLIGHT_RAD)
+    far_reach, far_rad = bounds_of_flight(is_high(view, predicted[:3], R, P))
     gone_m = seen_distance_m(view.rig, pose.position_m, pose.position_m - predicted[:3], view.reach_m)
     turned = float(angle_between(pose.rotation, R))
     if gone_m > far_reach * view.reach_m or turned > FIRST_POSES_RAD:
         return True
+    if turned <= far_rad:
+        return False
     off = innovation_squared(predicted, R, P, pose.position_m, pose.rotation, pose.H, view.settings)
-    return bool(turned > far_rad and off >= turned_share * same_flight_chi2(ahead.clock[2]))
+    return bool(off >= turned_share * same_flight_chi2(ahead.clock[2]))
+
+
+def bounds_of_flight(high: bool) -> tuple[float, float]:
+    """How far a pose may lie from where a known flight leads [units of the reach, rad]: less near the table."""
+    return (FIRST_POSES_REACH, FIRST_POSES_RAD) if high else (NEW_FLIGHT_REACH, NEW_FLIGHT_RAD)
 
 
 def is_high(view: View, position_m: Array, rotation: Array, P: Array) -> bool:

@@ -283,9 +283,8 @@ def track_frames(
     Returns the number of frames that it explains; the `rows` (n,) are filled that far and the `motion` is moved there.
     A pose whose normalised innovation squared exceeds the first of the `limits` (2,) ends the tracking in any case. The second is
     the share that counts of what a turned pose may have (`same_flight_chi2`): 0 for a hypothesis, whose turned poses speak
-    against it. Occluders that are
-    found enter the mask, and the backgrounds of the model become NaN there. The workspace holds what the frames before
-    showed of the light on the die, and gets what these show.
+    against it. Occluders that are found enter the mask, and the backgrounds of the model become NaN there. The workspace
+    holds what the frames before showed of the light on the die, and gets what these show.
     """
     rig, shape, settings = model.rig, model.shape, model.settings
     x, R, P, clock = motion.x, motion.rotation, motion.P, motion.clock
