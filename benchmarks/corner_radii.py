@@ -6,12 +6,15 @@ A clip folder is as for `benchmarks/tracker.py`; its scene gives the true corner
 clip is tracked as if its scene did not state the radius, and each clip of a rounded die also with the radius given,
 and as a sharp die.
 
-  radius     true radius [mm], and in pixels gain       fall of ℓ from sharp corners to corners of the tested radius,
-  and its standard error; above 0.02 and two standard
-             errors the die is taken for rounded (`tracking/clip_parameters/corner_radius.py`)
-  ms         wall-clock time of that decision found      estimated radius [mm], with its standard error given, found,
-  sharp: for each way to track it, median error of rotation [deg], across the line of sight [px] and along it [mm] of
-             the smoothed poses; wrong: frames off by more than 5 degrees or 1 mm; impacts found of those that can be, + spurious
+  radius    true radius [mm], and in pixels
+  surface   radius by the whole surface (`radius_by_surface`), the largest that costs no more, and whether the die is clearly
+            rounded; none before a mirror
+  ms        wall-clock time of that
+  found     estimated radius [mm], with its standard error
+
+  given, found, sharp: for each way to track it, median error of rotation [deg], across the line of sight [px] and along it
+            [mm] of the smoothed poses; wrong: frames off by more than 5 degrees or 1 mm; impacts found of those that can
+            be, + spurious
 """
 
 from __future__ import annotations
@@ -31,10 +34,12 @@ from tracker import errors, print_rows
 from diethrow.commands.clip.track import track_scene
 from diethrow.files.scene import read_scene
 from diethrow.tracking.clip_parameters import corner_radius
-from diethrow.tracking.clip_parameters.corner_radius import ROUND_TESTED_PX, CornerRounding
+from diethrow.tracking.clip_parameters.corner_radius import CornerRounding
+from diethrow.tracking.clip_parameters.radius_by_surface import SurfaceRadius
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.clip_poses import SampledFrames
 from diethrow.tracking.quality import FAST, STANDARD
+from diethrow.tracking.sequence import rounded_corners
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -54,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             continue
         estimates.append(row)
         accuracies += others
-    print_rows(["clip", "radius", "gain", "ms", "found"], estimates)
+    print_rows(["clip", "radius", "surface", "ms", "found"], estimates)
     if accuracies:
         print()
         print_rows(["clip", "tracked with", "rotation", "across", "along", "wrong", "impacts"], accuracies)
@@ -68,15 +73,14 @@ def measured(folder: Path) -> tuple[list[str], list[list[str]]]:
     sharp = replace(scene, die=replace(scene.die, corner_radius_m=0.0))
     name = folder.resolve().name
     record: dict[str, Any] = {}
-    with patch.object(corner_radius, "rounding_gain", recording(record)):
+    with patch.object(rounded_corners, "radius_by_surface", recording(record)):
         # For a sharp die the first pass suffices: the later ones do not depend on this test.
         found = track_scene(replace(sharp, rounding=CornerRounding.TESTED), quality=STANDARD if true_m else FAST)
-    gain, sigma = record["gain"]
     estimate = (
         "sharp" if found.corners is None else f"{1e3 * found.corners.radius_m:.3f} ± {1e3 * found.corners.sigma_m:.3f}"
     )
     radius = f"{1e3 * true_m:.2f} mm, {true_m * record['px_per_m']:.1f} px"
-    row = [name, radius, f"{gain:+.3f} ± {sigma:.3f}", f"{record['ms']:.0f}", estimate]
+    row = [name, radius, record["surface"], f"{record['ms']:.0f}", estimate]
     if not true_m:
         return row, []
     tracks = {
@@ -88,17 +92,22 @@ def measured(folder: Path) -> tuple[list[str], list[list[str]]]:
 
 
 def recording(record: dict[str, Any]) -> Any:
-    """`rounding_gain` that records its last result for the smaller of the two tested radii, and the total time."""
-    original = corner_radius.rounding_gain
+    """`radius_by_surface` that records its first result, and its time."""
+    original = rounded_corners.radius_by_surface
 
-    def recorded(view: View, frames: SampledFrames, radius_px: float) -> tuple[float, float]:
+    def recorded(view: View, frames: SampledFrames) -> SurfaceRadius | None:
         began = time.perf_counter()
-        result = original(view, frames, radius_px)
-        record["ms"] = record.get("ms", 0.0) + 1e3 * (time.perf_counter() - began)
-        if radius_px < ROUND_TESTED_PX or "gain" not in record:
-            record["gain"] = result
-        record.setdefault("px_per_m", corner_radius.scale_px_per_m(view, frames))
-        return result
+        found = original(view, frames)
+        if "ms" not in record:
+            record["ms"] = 1e3 * (time.perf_counter() - began)
+            record["px_per_m"] = corner_radius.scale_px_per_m(view, frames)
+            record["surface"] = (
+                "none"
+                if found is None
+                else f"{1e3 * found.best.radius_m:.2f}, at most {1e3 * found.most_m:.2f} mm"
+                + (", rounded" if found.is_rounded else "")
+            )
+        return found
 
     return recorded
 

@@ -23,6 +23,8 @@ The table has a row for each kind of clip, with counts and, below 100 %, interva
 `--calibration drawn` hands the program scenes whose cameras, edge and frame rate are off, each by a draw of its own from what a
 scene that says nothing counts as known; the truth is that of the exact ones. `benchmarks/honesty.py` sums both up.
 
+`--corners found` leaves the corner radius out of the scenes, as most people do, and prints how often it is found.
+
 `--worst N` saves pictures of the worst clips: six frames about the first pose that is wrong, or spread over the clip.
 """
 
@@ -66,6 +68,7 @@ from diethrow.fitting.results import Fit
 from diethrow.model.die import make_die
 from diethrow.model.rotations import angle_between, matrix_from_quat
 from diethrow.runs import RunError, Tracking, silent
+from diethrow.tracking.clip_parameters import CornerRounding
 from diethrow.tracking.covariance import covariance_root
 from diethrow.tracking.quality import QUALITIES
 from diethrow.tracking.throw import CLOCK_SHARE, EDGE_SHARE, displaced, usual_covariance
@@ -94,6 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--label", default="main", help="name of the results, for comparison (%(default)s)")
     parser.add_argument("--quality", choices=list(QUALITIES), default="standard")
     parser.add_argument("--calibration", choices=["exact", "drawn"], default="exact")
+    parser.add_argument("--corners", choices=["given", "found"], default="given")
     parser.add_argument("--again", action="store_true", help="analyse clips again that have results")
     parser.add_argument("--kind", action="append", default=[], help="only clips of this kind; may be repeated")
     parser.add_argument("--list", action="store_true", help="print a line for every clip")
@@ -102,16 +106,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--scheduler", help="address of a Dask scheduler instead, whose workers see the cache")
     chosen = parser.parse_args(arguments)
     clips = chosen.cache / f"seed{chosen.seed}_v{RENDERER_VERSION}"
-    results = results_path(chosen.cache, chosen.seed, chosen.label, chosen.quality, chosen.calibration)
+    results = results_path(chosen.cache, chosen.seed, chosen.label, chosen.quality, chosen.calibration, chosen.corners)
     results.parent.mkdir(parents=True, exist_ok=True)
     numbers = range(chosen.first, chosen.first + chosen.clips)
     known = {} if chosen.again else read_results(results)
     missing = [k for k in numbers if k not in known]
     with executor_of(chosen) as executor:
-        work = [
-            executor.submit(clip_result, clips, chosen.seed, k, chosen.quality, tuple(chosen.kind), chosen.calibration)
-            for k in missing
-        ]
+        how = (chosen.quality, tuple(chosen.kind), chosen.calibration, chosen.corners)
+        work = [executor.submit(clip_result, clips, chosen.seed, k, *how) for k in missing]
         for result in progress(work):
             known[result["clip"]] = result
             with results.open("a") as file:
@@ -121,6 +123,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for result in wanted:
             print(line_of(result))
     print_table(wanted)
+    if chosen.corners == "found":
+        print_radii(wanted)
     for result in sorted(wanted, key=badness, reverse=True)[: chosen.worst]:
         save_picture(clips, result, results.parent / f"{chosen.label}_worst")
     return 1 if any(result["outcome"] == "crashed" for result in wanted) else 0
@@ -137,9 +141,11 @@ def executor_of(chosen: argparse.Namespace) -> Iterator[Executor]:
             yield processes
 
 
-def results_path(cache: Path, seed: int, label: str, quality: str, calibration: str) -> Path:
+def results_path(
+    cache: Path, seed: int, label: str, quality: str, calibration: str = "exact", corners: str = "given"
+) -> Path:
     """The file of results."""
-    suffix = "" if calibration == "exact" else f"_{calibration}"
+    suffix = ("" if calibration == "exact" else f"_{calibration}") + ("" if corners == "given" else "_corners")
     return cache / f"seed{seed}_v{RENDERER_VERSION}" / "results" / f"{label}_{quality}{suffix}.jsonl"
 
 
@@ -164,7 +170,13 @@ def progress(work: Sequence[Future[dict[str, Any]]]) -> Iterator[dict[str, Any]]
 
 
 def clip_result(
-    clips: Path, seed: int, number: int, quality: str, kinds: tuple[str, ...] = (), calibration: str = "exact"
+    clips: Path,
+    seed: int,
+    number: int,
+    quality: str,
+    kinds: tuple[str, ...] = (),
+    calibration: str = "exact",
+    corners: str = "given",
 ) -> dict[str, Any]:
     """Render a clip where it is not there yet, analyse it, and compare: a record for the file of results."""
     draw = draw_clip(seed, number)
@@ -177,11 +189,14 @@ def clip_result(
         exact = scene = read_scene(folder / "scene.toml").known_exactly()
         if calibration == "drawn":
             scene = with_drawn_calibration(exact, np.random.default_rng([seed, number, DRAWN_STREAM]))
+        if corners == "found":
+            scene = replace(scene, die=replace(scene.die, corner_radius_m=0.0), rounding=CornerRounding.TESTED)
         with one_thread():
             check_scene(scene)
             tracking = track_scene(scene, silent, Stopwatch(), QUALITIES[quality])
             fit = run_fit(tracking.unbiased, tracking.measured, tracking.die, silent, Stopwatch())
         result |= {"outcome": "analysed"} | compared(exact, read_truth(folder), tracking, fit, draw.law.chi)
+        result |= {"radius": radius_of(exact, tracking)} if corners == "found" else {}
     except (RunError, SceneError) as error:
         result |= {"outcome": "refused", "reason": str(error)}
     except Exception as error:  # a crash on one clip is a result of the benchmark
@@ -314,6 +329,20 @@ def bounces_of(tracking: Tracking, truth: Truth) -> dict[str, Any]:
     }
 
 
+def radius_of(scene: Scene, tracking: Tracking) -> dict[str, float]:
+    """The corner radius of the scene and the one found, with its standard error [mm], and the scale [px/mm] at the middle pose; a
+    die that was taken for sharp has found 0 and the standard error 0."""
+    found, camera = tracking.corners, scene.views()[0].camera
+    position_m = np.nanmedian(tracking.smoothed.position_m, axis=0)
+    scale = 1e-3 * camera.matrix[0, 0] / float(np.linalg.norm(position_m - camera.centre_m))
+    return {
+        "true": 1e3 * scene.die.corner_radius_m,
+        "found": 1e3 * found.radius_m if found is not None else 0.0,
+        "sigma": 1e3 * found.sigma_m if found is not None else 0.0,
+        "px_per_mm": float(scale),
+    }
+
+
 def chi_of(fit: Fit, true: float) -> dict[str, Any]:
     """Error of the restitution, whether its interval holds the truth, and the error in standard errors."""
     chi = fit.parameters["chi"]
@@ -346,6 +375,20 @@ def print_table(results: Sequence[dict[str, Any]]) -> None:
     reasons = [f"  clip {r['clip']}: {r['reason']}" for r in results if r["outcome"] in ("refused", "crashed")]
     if reasons:
         print("\nrefused or crashed:", *reasons, sep="\n")
+
+
+def print_radii(results: Sequence[dict[str, Any]]) -> None:
+    """How often a corner radius that scenes leave out is found, by its size in the picture."""
+    radii = [result["radius"] for result in results if "radius" in result]
+    print("\nradius left out  clips  found  within 2 sigma  found/true, median (quartiles)")
+    for low, high in ((0.0, 0.0), (0.0, 1.3), (1.3, 2.5), (2.5, np.inf)):
+        some = [r for r in radii if low < r["true"] * r["px_per_mm"] <= high or low == high == r["true"]]
+        found = [r for r in some if r["found"] > 0.0]
+        held = sum(abs(r["found"] - r["true"]) < 2.0 * r["sigma"] for r in found)
+        ratios = [r["found"] / r["true"] for r in found if r["true"] > 0.0]
+        quartiles = "{1:.2f} ({0:.2f} to {2:.2f})".format(*np.percentile(ratios, [25, 50, 75])) if ratios else ""
+        name = "none" if low == high else f"{low:g} to {high:g} px"
+        print(f"{name:15s}  {len(some):5d}  {len(found):5d}  {held:14d}  {quartiles}".rstrip())
 
 
 def row_of(kind: str, results: Sequence[dict[str, Any]]) -> list[str]:

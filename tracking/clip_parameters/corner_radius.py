@@ -188,7 +188,7 @@ def rounding_gain(view: View, frames: SampledFrames, radius_px: float) -> tuple[
     sharp, round_ = (
         _misfits(with_corner_radius(view, r), frames, settings)[0] for r in (SHARP_PX / px_per_m, radius_m)
     )
-    return _winsorised_mean(sharp - round_)
+    return winsorised_mean(sharp - round_)
 
 
 def gain_over_sharp(view: View, radius_m: float, sharp: SampledFrames, rounded: SampledFrames) -> tuple[float, float]:
@@ -196,7 +196,7 @@ def gain_over_sharp(view: View, radius_m: float, sharp: SampledFrames, rounded: 
     on the same pictures."""
     settings = _free_poses(view)
     before = _misfits(with_corner_radius(view, SHARP_PX / scale_px_per_m(view, sharp)), sharp, settings)[0]
-    return _winsorised_mean(before - _misfits(with_corner_radius(view, radius_m), rounded, settings)[0])
+    return winsorised_mean(before - _misfits(with_corner_radius(view, radius_m), rounded, settings)[0])
 
 
 def is_rounded(view: View, frames: Callable[[int], SampledFrames]) -> bool:
@@ -228,7 +228,7 @@ def radius_by_free_poses(view: View, frames: SampledFrames) -> CornerRadius | No
         # Start from the poses of the previous radius: a rounder die of the same outline is nearer.
         misfit, refined = _misfits(with_corner_radius(view, radius), refined, settings)
         radii.append(radius)
-        gains.append(_winsorised_mean(sharp - misfit)[0])
+        gains.append(winsorised_mean(sharp - misfit)[0])
         radius *= RADIUS_RATIO
     found = _far_shoulder(np.array(radii), np.array(gains))
     return CornerRadius(found, float(np.hypot(FREE_SIGMA_SHARE * found, FREE_SIGMA_PX / px_per_m)))
@@ -340,7 +340,7 @@ def _misfits(view: View, frames: SampledFrames, settings: RefinementSettings) ->
     return np.array(misfit), replace(frames, position_m=np.array(position), rotation=np.array(rotation))
 
 
-def _winsorised_mean(values: Array) -> tuple[float, float]:
+def winsorised_mean(values: Array) -> tuple[float, float]:
     """Mean of the finite values, clipped at WINSOR_SIGMAS, and its standard error; (0, infinite) for fewer than
     FEWEST_FRAMES."""
     values = values[np.isfinite(values)]

@@ -42,7 +42,7 @@ from ..throw import (
     shared_bias_jacobian,
     without_shared_bias,
 )
-from ..track import Track
+from ..track import LOST, Track
 from .refine_on_edges import EdgeRefinement, among, refine_blocks
 
 Array = NDArray[np.float64]
@@ -113,7 +113,7 @@ def refine_on_marks(
         return MarkRefinement(edges.completed(refinement, report), None, None)
     variance = _variance_factor(found.frames, flights_only(found.throw))
     marks = _learned(source, view, found, variance)
-    if marks is None or len(source.clips) > 1 or not _are_useful(marks, found, every * decimation):
+    if marks is None or len(source.clips) > 1 or not _are_useful(marks, found, every * decimation, variance):
         return MarkRefinement(edges.completed(refinement, report), marks, None)
     marks = with_placement_error(view, marks, found.throw)
     flights = Throw(marks.flights, flights_only(found.throw).impacts)
@@ -139,9 +139,11 @@ def refine_on_marks(
 
 
 def _learned(source: FrameSource, view: View, found: MeasuredThrow, variance: float) -> SurfaceMarks | None:
-    """The marks, from frames in flight whose covariances are multiplied by `variance`."""
+    """The marks, from frames in flight whose covariances are multiplied by `variance`: those that lie on no flight, as behind an
+    impact that was missed, show each face somewhere else."""
     edges, throw = _in_flight(found.frames, found.throw), flights_only(found.throw)
-    edges = replace(edges, covariance=variance * edges.covariance)
+    status = np.where(found.unexplained, LOST, edges.status)
+    edges = replace(edges, status=status, covariance=variance * edges.covariance)
     rows = frames_to_learn_from(edges, throw)
     images = ((int(k), source.frame(int(k))[0]) for k in rows)
     # A table that is not where the scene has it determines no distance.
@@ -189,11 +191,13 @@ def _refine_rows(source: FrameSource, rows: Rows, frames: FrameRefinement, repor
 # --- how far marks and edges agree ---------------------------------------------------------------------------------------
 
 
-def _are_useful(marks: SurfaceMarks, found: MeasuredThrow, every: int) -> bool:
-    """Whether marks show the same motion as edges, and determine it as well. One frame in `every` was refined on edges."""
+def _are_useful(marks: SurfaceMarks, found: MeasuredThrow, every: int, variance: float) -> bool:
+    """Whether marks show the same motion as edges, and determine it as well. One frame in `every` was refined on edges, whose
+    poses scatter about the flights with `variance` times the variance that they state: such edges err as much in common, which
+    the covariance of the flights does not hold."""
     both = _learned_flights(marks, found.throw)
     unshared = [by_edges for by_edges, _ in _learned_flights(marks, found.throw_without_shared_errors)]
-    return _contradiction(both) <= MAX_CONTRADICTION and _gain(both, unshared, every) >= LEAST_GAIN
+    return _contradiction(both) <= MAX_CONTRADICTION * variance and _gain(both, unshared, every) >= LEAST_GAIN
 
 
 def _contradiction(both: Sequence[tuple[Flight, Flight]]) -> float:

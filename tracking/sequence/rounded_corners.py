@@ -4,6 +4,7 @@ its flights show the one that it was tracked with."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from enum import Enum, auto
 from functools import partial
 
 import numpy as np
@@ -11,15 +12,19 @@ import numpy as np
 from ...model.rotations import matrix_from_quat
 from ..clip_parameters import (
     RADIUS_FRAMES,
+    SURFACE_FRAMES,
     CornerRadius,
     CornerRounding,
     contour_sigma_px,
     gain_over_sharp,
     is_rounded,
     largest_radius_m,
+    may_be_rounder,
     radius_by_free_poses,
+    radius_by_surface,
     radius_on_flights,
     sample_in_flight,
+    surface_gain_over_sharp,
 )
 from ..footage import FrameSource
 from ..frame_to_frame import TrackingTask
@@ -64,11 +69,11 @@ def track_rounded(
     if rounding is CornerRounding.GIVEN:
         return *track_throughout(view, task), None
     first, poses = _track_sharp_or_round(view, task, rounding)
-    corners = _radius_from_pictures(first, task.source, poses, rounding)
+    corners, is_clear = _radius_from_pictures(first, task.source, poses, rounding)
     if corners is None or corners.radius_m == 0.0:
         return first, poses, corners if rounding is CornerRounding.ESTIMATED else None
     is_tested = rounding is CornerRounding.TESTED and first.die.corner_radius_m == 0.0
-    if is_tested and _flies_as_sharp(first, poses, task.source, corners.radius_m):
+    if is_tested and not _flies_as_rounded(first, poses, task.source, corners.radius_m, is_clear):
         return first, poses, None
     trials = _radius_trials(view, task, corners)
     if is_tested:
@@ -85,6 +90,14 @@ def track_rounded(
     if is_tested:
         return first, poses, None
     return with_corner_radius(first, corners.radius_m), poses, corners
+
+
+class _Corners(Enum):
+    """What flights say of the corners of a die."""
+
+    SHARP = auto()
+    ROUNDED = auto()
+    OPEN = auto()
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +121,7 @@ def _track_sharp_or_round(view: View, task: TrackingTask, rounding: CornerRoundi
         # A die that is round all over is not found as one with sharp corners.
         ball = with_corner_radius(view, min(ROUND_SHARE * view.die.solid.inradius, largest_radius_m(view.die)))
         first, poses = track_throughout(ball, task)
-        if _radius_from_pictures(first, task.source, poses, rounding) is None:
+        if _radius_from_pictures(first, task.source, poses, rounding)[0] is None:
             raise
         return first, poses
 
@@ -137,13 +150,24 @@ def _explains_better_than_sharp(trial: _Trial, sharp: ClipPoses, source: FrameSo
     """Whether a rounded die explains the pictures that both show better than the sharp one. A sharp die out of focus looks a
     little rounded; with a radius that is not its own it is lost, or tracked with poses that draw it worse."""
     both = sharp.known & trial.poses.known
-    frames = (poses.sample(source.frame, both, RADIUS_FRAMES) for poses in (sharp, trial.poses))
-    gain, sigma = gain_over_sharp(trial.view, trial.radius_m, *frames)
+    some = [poses.sample(source.frame, both, SURFACE_FRAMES) for poses in (sharp, trial.poses)]
+    by_surface = surface_gain_over_sharp(trial.view, trial.radius_m, *some)
+    if by_surface is not None:
+        return by_surface[0] > 0.0
+    more = (poses.sample(source.frame, both, RADIUS_FRAMES) for poses in (sharp, trial.poses))
+    gain, sigma = gain_over_sharp(trial.view, trial.radius_m, *more)
     return gain > 0.0 or sigma == np.inf
 
 
-def _flies_as_sharp(view: View, sharp: ClipPoses, source: FrameSource, radius_m: float) -> bool:
-    """Whether the flights of a die that was tracked with sharp corners exclude a radius.
+def _flies_as_rounded(view: View, sharp: ClipPoses, source: FrameSource, radius_m: float, is_clear: bool) -> bool:
+    """Whether flights leave it open that a die which was tracked with sharp corners is rounded by a radius, if the pictures are
+    clear about it, or else show it."""
+    shown = _corners_in_flight(view, sharp, source, radius_m)
+    return shown is _Corners.ROUNDED or (is_clear and shown is not _Corners.SHARP)
+
+
+def _corners_in_flight(view: View, sharp: ClipPoses, source: FrameSource, radius_m: float) -> _Corners:
+    """What the flights of a die that was tracked with sharp corners say of its corners, beside a radius.
 
     The contour of a rounded die lies within that of a sharp one, for which it seems too far away. The fall and the table
     then show that the contour of the sharp die is drawn so far out as the radius says; of a die that is sharp they show
@@ -155,21 +179,37 @@ def _flies_as_sharp(view: View, sharp: ClipPoses, source: FrameSource, radius_m:
     try:
         throw = measure(track, view.die, view.camera)
     except NoFlightError:
-        return False
+        return _Corners.OPEN
     if not len(throw.chain.shared) or all(impact.contact != "vertex" for impact in throw.throw.impacts):
-        return False
+        return _Corners.OPEN
     found, sigma = float(throw.chain.shared[0]), throw.chain.contour_sigma_px
-    return abs(found) < SHARP_CONTOUR_PX and abs(found) + EXCLUDED_SIGMAS * sigma < abs(found + inset_px)
+    if abs(found) < SHARP_CONTOUR_PX and abs(found) + EXCLUDED_SIGMAS * sigma < abs(found + inset_px):
+        return _Corners.SHARP
+    return _Corners.ROUNDED if found < -SHARP_CONTOUR_PX - EXCLUDED_SIGMAS * sigma else _Corners.OPEN
 
 
 def _radius_from_pictures(
     view: View, source: FrameSource, poses: ClipPoses, rounding: CornerRounding
-) -> CornerRadius | None:
-    """The radius of the corners from single pictures; None if the die looks sharp, or too few frames show it."""
+) -> tuple[CornerRadius | None, bool]:
+    """The radius of the corners from single pictures, None if the die looks sharp, or too few frames show it; and whether the
+    pictures alone suffice to take a sharp die for rounded.
+
+    Edges show that a die is rounded from a pixel on, and the whole surface how much, from two pixels on. A smaller radius is
+    that of the edges, no larger than the surface allows; since what smears an edge looks like a bevel, flights must show it."""
     looks = partial(poses.sample, source.frame, wholly_in_view(view, poses))
-    if rounding is CornerRounding.TESTED and not is_rounded(view, looks):
-        return None
-    return radius_by_free_poses(view, looks(RADIUS_FRAMES))
+    shows_bevels = rounding is CornerRounding.ESTIMATED or is_rounded(view, looks)
+    if not (shows_bevels or may_be_rounder(view, looks(SURFACE_FRAMES))):
+        return None, False
+    surface = radius_by_surface(view, looks(SURFACE_FRAMES))
+    if surface is not None and surface.is_rounded:
+        return surface.best, True
+    is_sharp = rounding is CornerRounding.TESTED and surface is not None and surface.is_sharp
+    if is_sharp or not shows_bevels:
+        return None, False
+    found = radius_by_free_poses(view, looks(RADIUS_FRAMES))
+    if surface is None or found is None:
+        return found, True
+    return replace(found, radius_m=min(found.radius_m, surface.most_m)), False
 
 
 def radius_in_flight(

@@ -57,6 +57,9 @@ FIRST_WINDOW = 8
 """Frames of the shortest window that is tested for free fall: good poses show it within 5 ms."""
 HOP_WINDOW = 5
 """The same where heights that err much seem level: at 250 frames per second a die that hops flies for five frames."""
+LONGER_WINDOW = 1.5
+"""Ratio of the lengths of successive windows: of a hop of 24 frames, windows of 16 may not show the fall, and windows of 32 reach
+beyond it."""
 MAX_WINDOW_FRAMES = 128
 """Frames that are used of a window, or up to twice as many, evenly spread: more of a film far faster than the die have correlated
 errors, and would count as more information than they are."""
@@ -206,24 +209,27 @@ def _row_behind_flights(observations: WeightedPoses, first: int, die: Die, windo
     """The row behind the flights that follow from row `first`, itself if the die does not fly there, 0 if the frames do not
     decide; and whether these, enough of them behind the flights, show that the table supports the die from there on.
 
-    Windows of `window` frames, then of twice and four times as many, are tested until enough of them (DECIDING_SHARE) distinguish
-    flight from support. Shorter intervals between two flights are ignored. A die whose centre of mass is not its centroid is not
-    tested: its centroid does not fall freely."""
+    Windows of `window` frames, then longer ones, are tested until enough of them (DECIDING_SHARE) distinguish flight from
+    support. Windows longer yet may follow flights farther: what neighbouring frames err by in common hides a flight from short
+    ones. Shorter intervals between two flights are ignored. A die whose centre of mass is not its centroid is not tested: its
+    centroid does not fall freely."""
     n = len(observations) - first if die.is_nearly_centred else 0
+    end, gap = 0, 0
     while window <= n and observations.time_s[first + window - 1] - observations.time_s[first] < LONGEST_WINDOW_S:
         begins, free_chi2, support_chi2 = _accelerations(
             observations.rows(slice(first, len(observations))), window, die
         )
-        if np.mean(support_chi2 > LEAST_SUPPORT_CHI2) > DECIDING_SHARE:
-            end, gap = 0, GAP_WINDOWS * max(window, FIRST_WINDOW)
+        distinguishes = support_chi2 > LEAST_SUPPORT_CHI2
+        if gap == 0 and np.mean(distinguishes) > DECIDING_SHARE:
+            gap = GAP_WINDOWS * max(window, FIRST_WINDOW)
+        if gap > 0:
             limit = np.minimum(MAX_FLIGHT_CHI2, NEARER_SHARE * support_chi2)
-            for k in begins[(support_chi2 > LEAST_SUPPORT_CHI2) & (free_chi2 < limit)].tolist():
+            for k in begins[distinguishes & (free_chi2 < limit)].tolist():
                 if k <= end + gap:
-                    end = k + window
-            is_supported = n - end > gap
-            return first + end if is_supported or end > 0 else 0, is_supported
-        window *= 2
-    return 0, False
+                    end = max(end, k + window)
+        window = round(LONGER_WINDOW * window)
+    is_supported = gap > 0 and n - end > gap
+    return first + end if is_supported or end > 0 else 0, is_supported
 
 
 def _accelerations(observations: WeightedPoses, window: int, die: Die) -> tuple[NDArray[np.int64], Array, Array]:

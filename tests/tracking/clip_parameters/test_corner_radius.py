@@ -255,7 +255,7 @@ def test_the_test_for_rounding_leaves_the_track_of_a_sharp_die_unchanged() -> No
 
 
 def test_a_first_radius_with_which_no_initial_pose_is_found_is_discarded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rounded_corners, "_radius_from_pictures", lambda *_: CornerRadius(5e-3, 0.5e-3))
+    monkeypatch.setattr(rounded_corners, "_radius_from_pictures", lambda *_: (CornerRadius(5e-3, 0.5e-3), True))
     tested, given = sharp_tracked(CornerRounding.TESTED), sharp_tracked(CornerRounding.GIVEN)
     assert tested.corners is None
     assert np.array_equal(tested.track.position_m, given.track.position_m, equal_nan=True)
@@ -263,30 +263,38 @@ def test_a_first_radius_with_which_no_initial_pose_is_found_is_discarded(monkeyp
 
 def test_flights_exclude_corners_that_a_codec_draws(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures alone may take smeared edges for bevels; a die so rounded would fall at another distance."""
-    monkeypatch.setattr(rounded_corners, "_radius_from_pictures", lambda *_: CornerRadius(0.5e-3, 0.1e-3))
+    monkeypatch.setattr(rounded_corners, "_radius_from_pictures", lambda *_: (CornerRadius(0.5e-3, 0.1e-3), True))
     monkeypatch.setattr(rounded_corners, "_radius_trials", lambda *_: pytest.fail("tracked with rounded corners"))
     assert sharp_tracked(CornerRounding.TESTED).corners is None
 
 
 @pytest.mark.parametrize(
-    ("contacts", "found_px", "sigma_px", "is_sharp"),
+    ("contacts", "found_px", "sigma_px", "clear", "unclear"),
     [
-        (("vertex",), 0.1, 0.02, True), (("vertex", "unresolved"), 0.1, 0.02, True), (("unresolved",), 0.1, 0.02, False),
-        ((), 0.0, 0.02, False), (("vertex",), 0.1, 0.3, False), (("vertex",), -0.4, 0.02, False),
-        (("vertex",), -0.9, 0.02, False),
+        (("vertex",), 0.1, 0.02, False, False), (("vertex", "unresolved"), 0.1, 0.02, False, False),
+        (("unresolved",), 0.1, 0.02, True, False), ((), 0.0, 0.02, True, False), (("vertex",), 0.1, 0.3, True, False),
+        (("vertex",), -0.4, 0.02, True, True), (("vertex",), -0.9, 0.02, True, True), (("vertex",), -0.4, 0.1, True, False),
     ],
 )  # fmt: skip
-def test_flights_exclude_a_radius_where_a_corner_touches_and_the_contour_is_that_of_a_sharp_die(
-    monkeypatch: pytest.MonkeyPatch, contacts: tuple[str, ...], found_px: float, sigma_px: float, is_sharp: bool
+def test_flights_show_a_radius_where_a_corner_touches(
+    monkeypatch: pytest.MonkeyPatch,
+    contacts: tuple[str, ...],
+    found_px: float,
+    sigma_px: float,
+    clear: bool,
+    unclear: bool,
 ) -> None:
-    """Beside a radius that would move the contour by a pixel. A die whose contour lies between the two is rounded by less."""
+    """Beside a radius that would move the contour by a pixel; whether the die may be rounded if pictures show that clearly, and
+    if they do not. A die whose contour lies between the two is rounded by less."""
     impacts = [SimpleNamespace(contact=contact) for contact in contacts]
     chain = SimpleNamespace(shared=np.array([found_px]), contour_sigma_px=sigma_px)
     measured = SimpleNamespace(throw=SimpleNamespace(impacts=impacts), chain=chain)
     monkeypatch.setattr(rounded_corners, "measure", lambda *_: measured)
     monkeypatch.setattr(rounded_corners, "contour_sigma_px", lambda *_: 1.0)
     source = FrameSource([ArrayClip(np.zeros((8, 4, 4), np.uint8), np.arange(8) / FPS, 8)])
-    assert rounded_corners._flies_as_sharp(STUDIO.view(CUBE), ClipPoses.empty(8), source, 1e-3) is is_sharp
+    for is_clear, may_be_rounded in ((True, clear), (False, unclear)):
+        found = rounded_corners._flies_as_rounded(STUDIO.view(CUBE), ClipPoses.empty(8), source, 1e-3, is_clear)
+        assert found is may_be_rounded
 
 
 @pytest.mark.parametrize(
@@ -305,8 +313,8 @@ def test_a_radius_with_which_the_die_is_lost_or_drawn_worse_is_discarded(
     view, radius = STUDIO.view(CUBE), CornerRadius(1e-3, 1e-4)
     trial = rounded_corners._Trial(1e-3, view, rounded, borne_out, radius)
     found = {
-        "_track_sharp_or_round": (view, sharp), "_radius_from_pictures": radius, "_flies_as_sharp": False,
-        "_radius_trials": [trial], "gain_over_sharp": (gain, 0.01),
+        "_track_sharp_or_round": (view, sharp), "_radius_from_pictures": (radius, True),
+        "_flies_as_rounded": True, "_radius_trials": [trial], "surface_gain_over_sharp": None, "gain_over_sharp": (gain, 0.01),
     }  # fmt: skip
     for name, value in found.items():
         monkeypatch.setattr(rounded_corners, name, lambda *_, value=value: value)
