@@ -12,6 +12,7 @@ from .corner_radius import CornerRadius as CornerRadius
 from .corner_radius import CornerRounding as CornerRounding
 from .corner_radius import contour_sigma_px as contour_sigma_px
 from .corner_radius import gain_over_sharp as gain_over_sharp
+from .corner_radius import is_clearly_rounded as is_clearly_rounded
 from .corner_radius import is_rounded as is_rounded
 from .corner_radius import largest_radius_m as largest_radius_m
 from .corner_radius import radius_by_free_poses as radius_by_free_poses

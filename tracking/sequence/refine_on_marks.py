@@ -51,6 +51,8 @@ Mask = NDArray[np.bool_]
 MAX_CONTRADICTION = 12.6
 """Squared sigmas of six numbers above which marks and edges do not show the same motion: chance gives more in one case of twenty.
 On one random clip, of a glossy die exposed for half the time, marks that contradicted the edges by 15 moved it by 1.2 mm."""
+POSE_NUMBERS = 6
+"""Numbers of a pose."""
 LEAST_PLACEMENT_SHARE = 1e-5
 """Least common error of the placement of marks that is considered, over the die's edge: a thousandth of a pixel."""
 MOST_PLACEMENT_SHARE = 0.3
@@ -192,12 +194,15 @@ def _refine_rows(source: FrameSource, rows: Rows, frames: FrameRefinement, repor
 
 
 def _are_useful(marks: SurfaceMarks, found: MeasuredThrow, every: int, variance: float) -> bool:
-    """Whether marks show the same motion as edges, and determine it as well. One frame in `every` was refined on edges, whose
-    poses scatter about the flights with `variance` times the variance that they state: such edges err as much in common, which
-    the covariance of the flights does not hold."""
+    """Whether marks show the same motion as edges, and determine it as well. One frame in `every` was refined on edges.
+
+    Edges whose poses scatter about the flights with `variance` times the variance that they state may err as much in common,
+    which the covariance of the flights does not hold. Marks that contradict them by no more are used if they determine the
+    motion as well even where they alone are to blame, and err by so much more than they state."""
     both = _learned_flights(marks, found.throw)
     unshared = [by_edges for by_edges, _ in _learned_flights(marks, found.throw_without_shared_errors)]
-    return _contradiction(both) <= MAX_CONTRADICTION * variance and _gain(both, unshared, every) >= LEAST_GAIN
+    beyond = max(1.0, _contradiction(both) / MAX_CONTRADICTION)
+    return bool(beyond <= variance and _gain(both, unshared, every) - POSE_NUMBERS * np.log(beyond) >= LEAST_GAIN)
 
 
 def _contradiction(both: Sequence[tuple[Flight, Flight]]) -> float:

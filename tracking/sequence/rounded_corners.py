@@ -17,6 +17,7 @@ from ..clip_parameters import (
     CornerRounding,
     contour_sigma_px,
     gain_over_sharp,
+    is_clearly_rounded,
     is_rounded,
     largest_radius_m,
     may_be_rounder,
@@ -195,7 +196,8 @@ def _radius_from_pictures(
     pictures alone suffice to take a sharp die for rounded.
 
     Edges show that a die is rounded from a pixel on, and the whole surface how much, from two pixels on. A smaller radius is
-    that of the edges, no larger than the surface allows; since what smears an edge looks like a bevel, flights must show it."""
+    that of the edges, no larger than the surface allows; since what smears an edge looks like a bevel, flights must show it
+    unless the edges are clear."""
     looks = partial(poses.sample, source.frame, wholly_in_view(view, poses))
     shows_bevels = rounding is CornerRounding.ESTIMATED or is_rounded(view, looks)
     if not (shows_bevels or may_be_rounder(view, looks(SURFACE_FRAMES))):
@@ -209,7 +211,8 @@ def _radius_from_pictures(
     found = radius_by_free_poses(view, looks(RADIUS_FRAMES))
     if surface is None or found is None:
         return found, True
-    return replace(found, radius_m=min(found.radius_m, surface.most_m)), False
+    is_clear = is_clearly_rounded(view, looks(RADIUS_FRAMES))
+    return replace(found, radius_m=min(found.radius_m, surface.most_m)), is_clear
 
 
 def radius_in_flight(
