@@ -16,7 +16,7 @@ rounded edge is broader and has more of them. Three questions are answered, each
 2. **About how much?** ℓ over increasing radii, with free poses (`radius_by_free_poses`). Oblique light moves the
    apparent contour inwards by a tenth of a pixel, the poses follow, and the minimum of ℓ lies at a radius too small
    by up to two thirds. The far shoulder of the minimum is nearer to the truth, and good enough for a first model of
-   the flights.
+   the flights. From two pixels on the whole surface says more (`radius_by_surface`).
 3. **How much?** In flight the die falls with g and bounces on z = 0, which determines its distance. The minimum of ℓ
    is taken with the poses of the flights, none free (`radius_on_flights`).
 
@@ -79,7 +79,7 @@ ROUND_TESTED_PX = 4.0
 ROUND_FRAMES = 8
 """Frames of that comparison, which shows more on each."""
 LEAST_GAIN = 0.02
-"""Least fall of ℓ for a die to be taken for rounded. `docs/tracking.md` has the table of sharp and rounded dice."""
+"""Least fall of ℓ for a die to be taken for rounded."""
 CLEAR_GAIN = 0.09
 """The same for a die that edges alone show rounded: of sharp ones of a codec three showed 0.07 to 0.086, where those without show
 less than 0.04, and dice rounded by 1.2 to 1.3 px mostly 0.1 and more."""
