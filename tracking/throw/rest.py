@@ -78,6 +78,8 @@ LEAST_SUPPORT_CHI2 = 9.0
 DECIDING_SHARE = 0.25
 """Share of the windows that must distinguish them. A window across an impact follows neither motion, and with hops of ten frames
 half of the windows of eight are such; longer ones are all."""
+RESTING_SHARE = 0.5
+"""The same for the windows behind the flights, if the table supports the die from there on: none of them is across an impact."""
 NEARER_SHARE = 0.25
 """Frames show a flight if their chi-square from free motion is below this share of that between the two: they are less than half
 as far, in sigmas, from the one as from the other."""
@@ -214,21 +216,22 @@ def _row_behind_flights(observations: WeightedPoses, first: int, die: Die, windo
     ones. Shorter intervals between two flights are ignored. A die whose centre of mass is not its centroid is not tested: its
     centroid does not fall freely."""
     n = len(observations) - first if die.is_nearly_centred else 0
-    end, gap = 0, 0
+    end, deciding = 0, []
     while window <= n and observations.time_s[first + window - 1] - observations.time_s[first] < LONGEST_WINDOW_S:
         begins, free_chi2, support_chi2 = _accelerations(
             observations.rows(slice(first, len(observations))), window, die
         )
         distinguishes = support_chi2 > LEAST_SUPPORT_CHI2
-        if gap == 0 and np.mean(distinguishes) > DECIDING_SHARE:
-            gap = GAP_WINDOWS * max(window, FIRST_WINDOW)
-        if gap > 0:
+        if deciding or np.mean(distinguishes) > DECIDING_SHARE:
+            deciding.append((GAP_WINDOWS * max(window, FIRST_WINDOW), begins, distinguishes))
             limit = np.minimum(MAX_FLIGHT_CHI2, NEARER_SHARE * support_chi2)
             for k in begins[distinguishes & (free_chi2 < limit)].tolist():
-                if k <= end + gap:
+                if k <= end + deciding[0][0]:
                     end = max(end, k + window)
         window = round(LONGER_WINDOW * window)
-    is_supported = gap > 0 and n - end > gap
+    is_supported = any(
+        n - end > gap and distinguishes[begins >= end].mean() > RESTING_SHARE for gap, begins, distinguishes in deciding
+    )
     return first + end if is_supported or end > 0 else 0, is_supported
 
 
