@@ -387,7 +387,7 @@ def print_radii(results: Sequence[dict[str, Any]]) -> None:
         held = sum(abs(r["found"] - r["true"]) < 2.0 * r["sigma"] for r in found)
         ratios = [r["found"] / r["true"] for r in found if r["true"] > 0.0]
         quartiles = "{1:.2f} ({0:.2f} to {2:.2f})".format(*np.percentile(ratios, [25, 50, 75])) if ratios else ""
-        name = "none" if low == high else f"{low:g} to {high:g} px"
+        name = "none" if low == high else f"{low:g} to {high:g} px" if high < np.inf else f"over {low:g} px"
         print(f"{name:15s}  {len(some):5d}  {len(found):5d}  {held:14d}  {quartiles}".rstrip())
 
 
