@@ -126,10 +126,13 @@ def surface_gain_over_sharp(
 
 
 def _first_radius_m(view: View, frames: SampledFrames) -> float:
-    """The first radius [m]."""
-    depth_m = (frames.position_m - view.camera.centre_m) @ view.camera.rotation[2]
+    """The first radius [m]: every camera draws its bevels on all frames."""
     first_px = max(FIRST_SHARE * LEAST_ROUNDED_PX, FIRST_BLURS * view.blur_px)
-    return float(first_px * depth_m.max(initial=0.0) / view.camera.matrix[0, 0])
+    m_per_px = (
+        ((frames.position_m - camera.centre_m) @ camera.rotation[2]).max(initial=0.0) / camera.matrix[0, 0]
+        for camera in view.cameras
+    )
+    return float(first_px * max(m_per_px))
 
 
 def _costs(view: View, frames: SampledFrames) -> tuple[Array, SampledFrames]:
@@ -139,9 +142,8 @@ def _costs(view: View, frames: SampledFrames) -> tuple[Array, SampledFrames]:
         motion = frames.motion[k]
         start = pose_state(frames.position_m[k], frames.rotation[k], motion[:3], motion[3:])
         pose = refine_pose(
-            view, frames.pictures[k], start, coarse=0, prior=weak_prior(view, start.position),
-            roughly=True,
-        )  # fmt: skip
+            view, frames.pictures[k], start, coarse=0, prior=weak_prior(view, start.position), roughly=True
+        )
         return pose.cost, pose.position_m, pose.rotation
 
     with ThreadPoolExecutor(THREADS) as pool:
@@ -154,5 +156,6 @@ def _vertex_m(radii: Array, falls: Array, best: int) -> float:
     if not 0 < best < len(radii) - 1:
         return float(radii[best])
     before, at, after = falls[best - 1 : best + 2]
-    step = 0.5 * (before - after) / (before - 2.0 * at + after)
+    bend = before - 2.0 * at + after
+    step = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
     return float(radii[best] * SURFACE_RATIO ** np.clip(step, -0.5, 0.5))
