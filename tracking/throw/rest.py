@@ -216,7 +216,8 @@ def _row_behind_flights(observations: WeightedPoses, first: int, die: Die, windo
     ones. Shorter intervals between two flights are ignored. A die whose centre of mass is not its centroid is not tested: its
     centroid does not fall freely."""
     n = len(observations) - first if die.is_nearly_centred else 0
-    end, deciding = 0, []
+    end = 0
+    deciding: list[tuple[int, NDArray[np.int64], NDArray[np.bool_]]] = []
     while window <= n and observations.time_s[first + window - 1] - observations.time_s[first] < LONGEST_WINDOW_S:
         begins, free_chi2, support_chi2 = _accelerations(
             observations.rows(slice(first, len(observations))), window, die
