@@ -47,6 +47,8 @@ the first radius cost less with it, whatever theirs."""
 LEAST_FALL_SHARE = 0.045
 """Least fall of the cost, as a share of it, from the first radius to the best of a die that is clearly rounded: where much is not
 explained, by a codec or the light, a little less says nothing. JPEG of quality 60 comes to 0.04."""
+QUICK_FALL_SHARE = 0.02
+"""The same from the first radius to QUICK_RATIO times it, from which that of more frames is worth its time."""
 MOST_RISE_SIGMAS = 4.0
 """Standard errors above the least cost from which larger radii are not tried."""
 
@@ -103,14 +105,15 @@ def radius_by_surface(view: View, frames: SampledFrames) -> SurfaceRadius | None
 
 
 def may_be_rounder(view: View, frames: SampledFrames) -> bool:
-    """Whether a radius of QUICK_RATIO times the first costs less than that, on FEWEST_FRAMES of the frames.
+    """Whether a radius of QUICK_RATIO times the first costs less than that, by QUICK_FALL_SHARE, on FEWEST_FRAMES of the frames.
 
     That takes a sixth of the time of `radius_by_surface`, which decides. False where that gives none."""
     few, first_m = frames.sample(FEWEST_FRAMES), _first_radius_m(view, frames)
     if len(few) < FEWEST_FRAMES or view.mirror or QUICK_RATIO * first_m > largest_radius_m(view.die):
         return False
     before, few = _costs(with_corner_radius(view, first_m), few)
-    return winsorised_mean(before - _costs(with_corner_radius(view, QUICK_RATIO * first_m), few)[0])[0] > 0.0
+    fall, _ = winsorised_mean(before - _costs(with_corner_radius(view, QUICK_RATIO * first_m), few)[0])
+    return fall > QUICK_FALL_SHARE * float(np.nanmean(before))
 
 
 def surface_gain_over_sharp(
