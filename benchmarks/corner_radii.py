@@ -8,8 +8,8 @@ and as a sharp die.
 
   radius    true radius [mm], and in pixels
   surface   radius by the whole surface (`radius_by_surface`), the largest that costs no more, and whether the die is clearly
-            rounded; none before a mirror
-  ms        wall-clock time of that
+            rounded; none before a mirror, and where neither edges nor six frames show a radius, so that it is not asked
+  ms        wall-clock time of `radius_by_surface`
   found     estimated radius [mm], with its standard error
 
   given, found, sharp: for each way to track it, median error of rotation [deg], across the line of sight [px] and along it
@@ -29,11 +29,11 @@ from typing import Any
 from unittest.mock import patch
 
 from accuracy import read_truth, truth_folder
+from population import radius_of
 from tracker import errors, print_rows
 
 from diethrow.commands.clip.track import track_scene
 from diethrow.files.scene import read_scene
-from diethrow.tracking.clip_parameters import corner_radius
 from diethrow.tracking.clip_parameters.corner_radius import CornerRounding
 from diethrow.tracking.clip_parameters.radius_by_surface import SurfaceRadius
 from diethrow.tracking.picture.view import View
@@ -72,14 +72,15 @@ def measured(folder: Path) -> tuple[list[str], list[list[str]]]:
     true_m = scene.die.corner_radius_m
     sharp = replace(scene, die=replace(scene.die, corner_radius_m=0.0))
     name = folder.resolve().name
-    record: dict[str, Any] = {}
+    record: dict[str, Any] = {"surface": "none", "ms": 0.0}
     with patch.object(rounded_corners, "radius_by_surface", recording(record)):
         # For a sharp die the first pass suffices: the later ones do not depend on this test.
         found = track_scene(replace(sharp, rounding=CornerRounding.TESTED), quality=STANDARD if true_m else FAST)
     estimate = (
         "sharp" if found.corners is None else f"{1e3 * found.corners.radius_m:.3f} ± {1e3 * found.corners.sigma_m:.3f}"
     )
-    radius = f"{1e3 * true_m:.2f} mm, {true_m * record['px_per_m']:.1f} px"
+    scale = radius_of(scene, found)["px_per_mm"]
+    radius = f"{1e3 * true_m:.2f} mm, {1e3 * true_m * scale:.1f} px"
     row = [name, radius, record["surface"], f"{record['ms']:.0f}", estimate]
     if not true_m:
         return row, []
@@ -98,15 +99,10 @@ def recording(record: dict[str, Any]) -> Any:
     def recorded(view: View, frames: SampledFrames) -> SurfaceRadius | None:
         began = time.perf_counter()
         found = original(view, frames)
-        if "ms" not in record:
+        if found is not None and record["ms"] == 0.0:
             record["ms"] = 1e3 * (time.perf_counter() - began)
-            record["px_per_m"] = corner_radius.scale_px_per_m(view, frames)
-            record["surface"] = (
-                "none"
-                if found is None
-                else f"{1e3 * found.best.radius_m:.2f}, at most {1e3 * found.most_m:.2f} mm"
-                + (", rounded" if found.is_rounded else "")
-            )
+            rounded = ", rounded" if found.is_rounded else ""
+            record["surface"] = f"{1e3 * found.best.radius_m:.2f}, at most {1e3 * found.most_m:.2f} mm{rounded}"
         return found
 
     return recorded

@@ -23,7 +23,7 @@ The table has a row for each kind of clip, with counts and, below 100 %, interva
 `--calibration drawn` hands the program scenes whose cameras, edge and frame rate are off, each by a draw of its own from what a
 scene that says nothing counts as known; the truth is that of the exact ones. `benchmarks/honesty.py` sums both up.
 
-`--corners found` leaves the corner radius out of the scenes, as most people do, and prints how often it is found.
+`--corners found` leaves the corner radius out of the scenes, as a scene may, and prints how often it is found.
 
 `--worst N` saves pictures of the worst clips: six frames about the first pose that is wrong, or spread over the clip.
 """

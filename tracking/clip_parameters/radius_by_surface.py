@@ -38,7 +38,7 @@ SURFACE_FRAMES = 10
 FIRST_SHARE = 1.02
 """First radius, in LEAST_ROUNDED_PX where the die is farthest: the pose may go farther yet."""
 FIRST_BLURS = 1.8
-"""The same in lens blurs: sharp cubes and tetrahedra of 1.2, 2.4 and 3.5 px of blur cost least with 1.3 to 2 blurs."""
+"""The same in lens blurs: sharp cubes and tetrahedra of 1.2, 2.4 and 3.5 px of blur cost least with 1 to 2 blurs."""
 SURFACE_RATIO = 1.4
 """Ratio of successive radii."""
 QUICK_RATIO = 2.4
@@ -46,7 +46,8 @@ QUICK_RATIO = 2.4
 the first radius cost less with it, whatever theirs."""
 LEAST_FALL_SHARE = 0.045
 """Least fall of the cost, as a share of it, from the first radius to the best of a die that is clearly rounded: where much is not
-explained, by a codec or the light, a little less says nothing. JPEG of quality 60 comes to 0.04."""
+explained, by a codec or the light, a little less says nothing. JPEG of quality 60 comes to 0.04 and,
+of a dodecahedron with other noise, beyond."""
 QUICK_FALL_SHARE = 0.02
 """The same from the first radius to QUICK_RATIO times it, from which that of more frames is worth its time."""
 MOST_RISE_SIGMAS = 4.0
@@ -107,7 +108,7 @@ def radius_by_surface(view: View, frames: SampledFrames) -> SurfaceRadius | None
 def may_be_rounder(view: View, frames: SampledFrames) -> bool:
     """Whether a radius of QUICK_RATIO times the first costs less than that, by QUICK_FALL_SHARE, on FEWEST_FRAMES of the frames.
 
-    That takes a sixth of the time of `radius_by_surface`, which decides. False where that gives none."""
+    Twelve pictures are drawn; `radius_by_surface`, which decides, draws twenty at the least. False where that gives none."""
     few, first_m = frames.sample(FEWEST_FRAMES), _first_radius_m(view, frames)
     if len(few) < FEWEST_FRAMES or view.mirror or QUICK_RATIO * first_m > largest_radius_m(view.die):
         return False
