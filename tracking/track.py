@@ -68,7 +68,8 @@ class Track:
     """(n, 6, 6) covariance from the pixels of each frame alone, by which flights are segmented. None where `covariance` is that
     and was not calibrated by the residuals of the flights (`tracking.throw.with_calibrated_covariance`). In no file."""
     contour_sigma_px: float = 0.0
-    """Standard error of the contour's place common to all frames, from a corner radius that was estimated from the pictures."""
+    """Standard error of the contour's place common to all frames, from a corner radius that was estimated from the pictures, or
+    that nobody has stated."""
     response_sigma: float = 0.0
     """Standard deviation of the exponent of the response, grey = light ** exponent, from that with which the poses were found."""
     shared_errors: SharedErrors | None = None

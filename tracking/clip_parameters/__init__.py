@@ -24,6 +24,7 @@ from .lens_blur import BLUR_FRAMES as BLUR_FRAMES
 from .lens_blur import depth_of_field as depth_of_field
 from .lens_blur import estimate_lens as estimate_lens
 from .light import with_light as with_light
+from .radius_by_impacts import radius_by_impacts as radius_by_impacts
 from .radius_by_surface import SURFACE_FRAMES as SURFACE_FRAMES
 from .radius_by_surface import may_be_rounder as may_be_rounder
 from .radius_by_surface import radius_by_surface as radius_by_surface

@@ -172,7 +172,7 @@ def _corners_in_flight(view: View, sharp: ClipPoses, source: FrameSource, radius
 
     The contour of a rounded die lies within that of a sharp one, for which it seems too far away. The fall and the table
     then show that the contour of the sharp die is drawn so far out as the radius says; of a die that is sharp they show
-    hardly an error, whatever a codec or a sharpening filter does to its edges. Only a throw with a contact on one corner says
+    hardly an error, whatever a codec or a sharpening filter does to its edges. Only a throw with an impact at one corner says
     so: the corners of a rounded die touch elsewhere."""
     use = wholly_in_view(view, sharp) & sharp.evenly_spaced
     inset_px = contour_sigma_px(view, radius_m, sharp.position_m[use], sharp.rotation[use])
@@ -181,7 +181,9 @@ def _corners_in_flight(view: View, sharp: ClipPoses, source: FrameSource, radius
         throw = measure(track, view.die, view.camera)
     except NoFlightError:
         return _Corners.OPEN
-    if not len(throw.chain.shared) or all(impact.contact != "vertex" for impact in throw.throw.impacts):
+    # Flights may turn at a corner and not meet the table there.
+    strikes = zip(throw.throw.impacts, throw.chain.links, strict=False)
+    if not len(throw.chain.shared) or not any(i.contact == "vertex" and link.impact is not None for i, link in strikes):
         return _Corners.OPEN
     found, sigma = float(throw.chain.shared[0]), throw.chain.contour_sigma_px
     if abs(found) < SHARP_CONTOUR_PX and abs(found) + EXCLUDED_SIGMAS * sigma < abs(found + inset_px):

@@ -35,6 +35,7 @@ from ..clip_parameters import (
     estimate_clock_offsets,
     estimate_lens,
     estimate_response,
+    radius_by_impacts,
     with_light,
 )
 from ..footage import Clip, FrameSource, clip_in_light, estimate_background, level_grey, picture_in_light
@@ -183,6 +184,11 @@ def track_clip(
     if corners is not None:
         corners, sigma_px = radius_in_flight(view, source, track, corners)
         view = with_corner_radius(view, corners.radius_m)
+        track = replace(track, contour_sigma_px=sigma_px, turning=turning_of(view.die))
+    elif facts.rounding is CornerRounding.TESTED and view.die.corner_radius_m == 0.0:
+        corners, sigma_px = radius_by_impacts(track, view.die, view.camera, decimation_factor(track, view.die))
+        if corners is not None:
+            view = with_corner_radius(view, corners.radius_m)
         track = replace(track, contour_sigma_px=sigma_px, turning=turning_of(view.die))
     calibrated = with_calibrated_covariance(track, view.die, view.camera, every=decimation_factor(track, view.die))
     if view.readout_s != 0.0:

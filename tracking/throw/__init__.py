@@ -18,6 +18,8 @@ from .calibration_errors import TURN_SIGMA_RAD as TURN_SIGMA_RAD
 from .calibration_errors import CalibrationErrors as CalibrationErrors
 from .calibration_errors import displaced as displaced
 from .calibration_errors import usual_covariance as usual_covariance
+from .contacts import PENALTY as PENALTY
+from .contacts import gain_over as gain_over
 from .flight_segmentation import ENOUGH_FRAMES as ENOUGH_FRAMES
 from .flight_segmentation import SMALL_MOVE_REACH as SMALL_MOVE_REACH
 from .flight_segmentation import SMALL_TURN_RAD as SMALL_TURN_RAD

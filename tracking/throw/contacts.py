@@ -346,7 +346,7 @@ def explains_better(observations: WeightedPoses, one: ResolvedChain, other: Reso
 
     Both are fitted with the wider priors of the two and the error model with the smaller errors, at a PENALTY for each free
     parameter."""
-    errors = min((one.chain.errors, other.chain.errors), key=lambda each: float(np.log(each.variance).sum()))
+    errors = _smaller_errors(one, other)
     table_sigma_m = max(one.priors.table_sigma_m, other.priors.table_sigma_m)
     shared_sigma = min(one.priors.shared_sigma, other.priors.shared_sigma, key=len)
     priors = Priors(shared_sigma, table_sigma_m)
@@ -354,10 +354,32 @@ def explains_better(observations: WeightedPoses, one: ResolvedChain, other: Reso
     costs = []
     for each in (one, other):
         frames = replace(observations, quaternion=each.observations.quaternion).with_bias_jacobian(bias_jacobian)
-        determined = sum(IMPACT_CONDITIONS for link in each.chain.links if link.impact is not None)
-        free = sum(link.size for link in each.chain.links) - determined
-        costs.append(priors.refit(frames, each.chain, each.chain.links, errors).cost + PENALTY * free)
+        costs.append(_penalised_cost(priors.refit(frames, each.chain, each.chain.links, errors)))
     return costs[0] < costs[1]
+
+
+def gain_over(one: ResolvedChain, other: ResolvedChain) -> float:
+    """By how many squared sigmas the first of two chains of flights through the same frames costs less than the second, each with
+    its own priors and its own contacts, with the smaller errors of both and a PENALTY for each free parameter.
+
+    The cost of a chain with its own error model says nothing: a wrong chain shows larger errors."""
+    errors = _smaller_errors(one, other)
+    cost, others = (
+        _penalised_cost(each.priors.refit(each.observations, each.chain, each.chain.links, errors))
+        for each in (one, other)
+    )
+    return others - cost
+
+
+def _smaller_errors(one: ResolvedChain, other: ResolvedChain) -> ErrorModel:
+    """The error model of the two with the smaller errors."""
+    return min((one.chain.errors, other.chain.errors), key=lambda each: float(np.log(each.variance).sum()))
+
+
+def _penalised_cost(chain: FlightChain) -> float:
+    """The cost of a chain, with a PENALTY for each parameter that its links leave free."""
+    determined = sum(IMPACT_CONDITIONS for link in chain.links if link.impact is not None)
+    return chain.cost + PENALTY * (sum(link.size for link in chain.links) - determined)
 
 
 def _with_merged_contacts(observations: WeightedPoses, chain: FlightChain, priors: Priors) -> FlightChain:

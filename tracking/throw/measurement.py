@@ -91,7 +91,8 @@ class MeasuredThrow:
     """The single frames, labelled as the flights are, with the estimated shared errors subtracted."""
     frames_on_table: Track
     """The same with the frames of a die that the table supports corrected to lie on it."""
-    chain: FlightChain
+    resolved: ResolvedChain
+    """The chain of flights, and the frames and priors that it was fitted with."""
     rows: NDArray[np.int64]
     """(n,) rows of the track that the flights were fitted to."""
     shared_covariance: Array
@@ -104,6 +105,11 @@ class MeasuredThrow:
     """(track rows, 3, 3) the symmetries by which `frames` are labelled anew: R of the track becomes R times this."""
     calibration: CalibrationEstimate
     """What the throw shows of the errors of cameras, die and clock; the covariances of flights contain what it leaves open."""
+
+    @property
+    def chain(self) -> FlightChain:
+        """The flights and what links them."""
+        return self.resolved.chain
 
     @property
     def independent_frames(self) -> Track:
@@ -242,7 +248,7 @@ def measure(
     without = Throw(flights, impacts)
     throw = _with_shared_covariance(without, track.time_s[use[:flying]], shared_covariance[use[:flying]])
     measured = MeasuredThrow(
-        throw, straight, resting, chain, use[:flying], shared_covariance, without, die, labels, estimate
+        throw, straight, resting, found, use[:flying], shared_covariance, without, die, labels, estimate
     )
     # Flights determine nothing of frames that none of them explains: the contour of a die that rocks lies amid its shadow too.
     undetermined_covariance = _shared_covariance(track, bias_jacobian, np.broadcast_to(sigma, left.shape), use, flying)

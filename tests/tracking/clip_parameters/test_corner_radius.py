@@ -274,6 +274,7 @@ def test_flights_exclude_corners_that_a_codec_draws(monkeypatch: pytest.MonkeyPa
         (("vertex",), 0.1, 0.02, False, False), (("vertex", "unresolved"), 0.1, 0.02, False, False),
         (("unresolved",), 0.1, 0.02, True, False), ((), 0.0, 0.02, True, False), (("vertex",), 0.1, 0.3, True, False),
         (("vertex",), -0.4, 0.02, True, True), (("vertex",), -0.9, 0.02, True, True), (("vertex",), -0.4, 0.1, True, False),
+        (("apart",), 0.1, 0.02, True, False), (("apart",), -0.9, 0.02, True, False),
     ],
 )  # fmt: skip
 def test_flights_show_a_radius_where_a_corner_touches(
@@ -285,9 +286,11 @@ def test_flights_show_a_radius_where_a_corner_touches(
     unclear: bool,
 ) -> None:
     """Beside a radius that would move the contour by a pixel; whether the die may be rounded if pictures show that clearly, and
-    if they do not. A die whose contour lies between the two is rounded by less."""
-    impacts = [SimpleNamespace(contact=contact) for contact in contacts]
-    chain = SimpleNamespace(shared=np.array([found_px]), contour_sigma_px=sigma_px)
+    if they do not. A die whose contour lies between the two is rounded by less. Flights that turn at a corner apart from the
+    table show nothing."""
+    impacts = [SimpleNamespace(contact="vertex" if contact == "apart" else contact) for contact in contacts]
+    links = tuple(SimpleNamespace(impact=object() if contact == "vertex" else None) for contact in contacts)
+    chain = SimpleNamespace(shared=np.array([found_px]), contour_sigma_px=sigma_px, links=links)
     measured = SimpleNamespace(throw=SimpleNamespace(impacts=impacts), chain=chain)
     monkeypatch.setattr(rounded_corners, "measure", lambda *_: measured)
     monkeypatch.setattr(rounded_corners, "contour_sigma_px", lambda *_: 1.0)
