@@ -71,7 +71,8 @@ def test_frames_behind_an_unresolved_contact_are_named_where_a_frame_is_at_its_v
     row = int(np.flatnonzero(found.frames.time_s < first.time_s)[-1])
     impacts = (replace(first, contact="unresolved", time_s=float(found.frames.time_s[row])), *others)
     weights = np.where(np.isin(found.rows, row + np.arange(1, 4)), 0.0, found.chain.weights)
-    altered = replace(found, throw=replace(found.throw, impacts=impacts), chain=replace(found.chain, weights=weights))
+    resolved = replace(found.resolved, chain=replace(found.chain, weights=weights))
+    altered = replace(found, throw=replace(found.throw, impacts=impacts), resolved=resolved)
     assert altered.unexplained[row + 1 : row + 4].all()
     assert not altered.unexplained[: row + 1].any()
 
