@@ -46,8 +46,8 @@ QUICK_RATIO = 2.4
 the first radius cost less with it, whatever theirs."""
 LEAST_FALL_SHARE = 0.045
 """Least fall of the cost, as a share of it, from the first radius to the best of a die that is clearly rounded: where much is not
-explained, by a codec or the light, a little less says nothing. JPEG of quality 60 comes to 0.04 and,
-of a dodecahedron with other noise, beyond."""
+explained, by a codec or the light, a little less says nothing. JPEG of quality 60 comes to 0.04, and beyond 0.045 of a
+dodecahedron with other noise."""
 QUICK_FALL_SHARE = 0.02
 """The same from the first radius to QUICK_RATIO times it, from which that of more frames is worth its time."""
 MOST_RISE_SIGMAS = 4.0
