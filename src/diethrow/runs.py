@@ -12,7 +12,7 @@ from .model.errors import InputError
 from .model.throw import Throw
 from .tracking.camera import Camera
 from .tracking.check import SecondDie, fall_notices, measure_fall
-from .tracking.clip_parameters import ClockOffsets, CornerRadius, EstimatedResponse
+from .tracking.clip_parameters import ClockOffsets, CornerRadius, EstimatedResponse, open_contour_notice
 from .tracking.footage import Clip
 from .tracking.picture import Lens
 from .tracking.surface_marks import FaceNumbers
@@ -77,11 +77,13 @@ class Tracking:
     @property
     def notices(self) -> tuple[str, ...]:
         """Reservations about the footage and the motion in it, one sentence each."""
+        contour_px = self.frames.contour_sigma_px
         return (
             *(n for clip in self.clips for n in clip.notices),
             *self.times.notices,
             *self.offsets.notices(1.0 / rate_hz(self.frames)),
             *((self.corners.notice,) if self.corners is not None else ()),
+            *((open_contour_notice(contour_px),) if self.corners is None and contour_px > 0.0 else ()),
             *((self.response.notice,) if self.response is not None and not self.response.is_exact else ()),
             *((self.lens.notice,) if self.lens is not None else ()),
             *((self.second_die.notice,) if self.second_die is not None else ()),

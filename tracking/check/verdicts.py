@@ -397,7 +397,8 @@ def _corners(tracked_part: TrackedPart) -> Finding:
             "corners", Verdict.GOOD, "The pictures show sharp corners, or nearly so.", "", {"corner_radius_m": 0.0}
         )
     radius, sigma = found.radius_m, found.sigma_m
-    measured = f"The pictures show rounded corners, with a radius of {1e3 * radius:.2f} ± {1e3 * sigma:.2f} mm (standard error)."
+    shown = "The impacts are those of" if found.by_impacts else "The pictures show"
+    measured = f"{shown} rounded corners, with a radius of {1e3 * radius:.2f} ± {1e3 * sigma:.2f} mm (standard error)."
     advice = f"measure it and set die.corner_radius_m, or set {radius:.2g}; without it tracking estimates it again"
     values: dict[str, float | None] = {"corner_radius_m": radius, "sigma_corner_radius_m": sigma}
     return Finding("corners", Verdict.DOUBTFUL, measured, advice, values)

@@ -146,20 +146,25 @@ class CornerRounding(StrEnum):
 
 @dataclass(frozen=True)
 class CornerRadius:
-    """The corner radius that the pictures show."""
+    """The corner radius that the pictures show, or the impacts."""
 
     radius_m: float
     sigma_m: float
     """Standard error, the light on the bevels included."""
+    by_impacts: bool = False
+    """Whether impacts show it, of a die that looks sharp."""
 
     @property
     def notice(self) -> str:
         """One sentence for the reader of the result."""
         if self.radius_m == 0.0:
             return f"the corners look sharp: no radius was found, ± {1e3 * self.sigma_m:.2f} mm."
+        shown = "the corners look rounded,"
+        if self.by_impacts:
+            shown = "the corners look sharp, but strike the table as rounded ones do,"
         return (
-            f"the corners look rounded, with a radius of {1e3 * self.radius_m:.2f} ± {1e3 * self.sigma_m:.2f} mm, which the "
-            "poses take into account; if you have measured it, write it as die.corner_radius_m."
+            f"{shown} with a radius of {1e3 * self.radius_m:.2f} ± {1e3 * self.sigma_m:.2f} mm, which the poses take into "
+            "account; if you have measured it, write it as die.corner_radius_m."
         )
 
 

@@ -39,6 +39,10 @@ IMPACT_SIGMA_SHARE = 0.4
 rests on one seed of random clips and on simulated throws."""
 
 
+SUFFICIENT_FRAMES = 0.95
+"""Least share of the frames of a track that are tracked again with the radius found."""
+
+
 def radius_by_impacts(track: Track, die: Die, camera: Camera, every: int = 1) -> tuple[CornerRadius | None, float]:
     """The radius of corners that impacts show, and the standard deviation [px] with which the place of the contour is left open;
     (None, 0) if the contacts are impacts of a sharp die, or neither explains them clearly better.
@@ -63,7 +67,28 @@ def radius_by_impacts(track: Track, die: Die, camera: Camera, every: int = 1) ->
         # What the least radius shows, and neither larger ones nor none, is no effect of a radius.
         return None, 0.0
     radius_m = better_m[-1]
-    return CornerRadius(radius_m, IMPACT_SIGMA_SHARE * radius_m) if radius_m > 0.0 else None, OPEN_CONTOUR_PX
+    if radius_m == 0.0:
+        return None, OPEN_CONTOUR_PX
+    return CornerRadius(radius_m, IMPACT_SIGMA_SHARE * radius_m, by_impacts=True), OPEN_CONTOUR_PX
+
+
+def open_contour_notice(sigma_px: float) -> str:
+    """One sentence for the reader of a result whose contour is left open by so much, without a radius."""
+    return (
+        f"the flights meet on the table only if the contour of the die lies some {sigma_px:.1f} px from where it is seen, as "
+        "that of slightly rounded corners does, which the distances take into account; if you have measured the radius of the "
+        "corners, write it as die.corner_radius_m."
+    )
+
+
+def flies_as_before(again: Track, before: Track, die: Die, camera: Camera, every: int = 1) -> bool:
+    """Whether a die that was tracked again with the radius that impacts showed is tracked on nearly all frames of the track
+    `before` (SUFFICIENT_FRAMES), and meets the table as there: at one corner as often, and no more often in other ways."""
+    flights, anew = _measured(before, die, camera, every), _measured(again, die, camera, every)
+    if flights is None or anew is None or again.tracked.sum() < SUFFICIENT_FRAMES * before.tracked.sum():
+        return False
+    then, now = (sum(link.impact is not None for link in one.chain.links) for one in (flights, anew))
+    return now >= then and _unexplained_contacts(anew) <= _unexplained_contacts(flights)
 
 
 def _measured(track: Track, die: Die, camera: Camera, every: int) -> MeasuredThrow | None:

@@ -225,17 +225,21 @@ def radius_in_flight(
 
     The flights are free to correct their distance. That leaves more ways to join them. Where these fail, the pictures contradict
     the flights, or the flights the radius: the poses then do better without that freedom."""
-    p, R = track.position_m[track.tracked], matrix_from_quat(track.quaternion[track.tracked])
-    if not len(p):
+    if not track.tracked.any():
         return corners, 0.0
+    open_contour = replace(track, contour_sigma_px=track_contour_sigma_px(view, track, corners))
     try:
-        found = measure(
-            replace(track, contour_sigma_px=contour_sigma_px(view, corners.sigma_m, p, R)), view.die, view.camera
-        )
+        found = measure(open_contour, view.die, view.camera)
     except NoFlightError:
         return corners, 0.0
     looks = sample_in_flight(view, source.frame, track, found.throw)
     again = radius_on_flights(view, looks, corners.radius_m, found.chain.contour_sigma_px)
     if again is None or again.sigma_m > corners.sigma_m or again.radius_m == 0.0:
         return corners, 0.0
-    return again, contour_sigma_px(view, again.sigma_m, p, R)
+    return again, track_contour_sigma_px(view, track, again)
+
+
+def track_contour_sigma_px(view: View, track: Track, corners: CornerRadius) -> float:
+    """Standard deviation [px] of the place of the contour that a radius leaves open at the poses of a track."""
+    position_m, quaternion = track.position_m[track.tracked], track.quaternion[track.tracked]
+    return contour_sigma_px(view, corners.sigma_m, position_m, matrix_from_quat(quaternion))

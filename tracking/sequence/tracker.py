@@ -35,6 +35,7 @@ from ..clip_parameters import (
     estimate_clock_offsets,
     estimate_lens,
     estimate_response,
+    flies_as_before,
     radius_by_impacts,
     with_light,
 )
@@ -59,7 +60,7 @@ from ..track import ABSENT, LOST, Track
 from .labelling import with_consistent_labels, with_labels_of_marks
 from .refine_on_edges import EdgeRefinement
 from .refine_on_marks import MarkRefinement, refine_on_marks
-from .rounded_corners import radius_in_flight, track_rounded
+from .rounded_corners import radius_in_flight, track_contour_sigma_px, track_rounded
 from .tracking_pass import NoDieError as NoDieError
 
 Array = NDArray[np.float64]
@@ -87,6 +88,8 @@ class ClipFacts:
     """Ranges (first, stop) of frame numbers whose pictures are not used: they are lost."""
     rounding: CornerRounding = CornerRounding.GIVEN
     """Whether the radius of the die's corners is given."""
+    corners: CornerRadius | None = None
+    """A given radius that the impacts of an earlier tracking showed, with its standard error; None if it was measured."""
     level_grey: float = 1.0
     """Grey values per level of the file: above 1 for a clip mapped to light."""
     readout_s: float = 0.0
@@ -181,20 +184,40 @@ def track_clip(
     else:
         offsets, result = ClockOffsets.none(len(clips)), MarkRefinement(poses, None, None)
     track = replace(_track(source, view, result.poses, throw), shared_covariance=result.shared_covariance)
-    if corners is not None:
+    if facts.corners is not None:
+        # Pictures do not show this radius: on flights they would make it smaller.
+        corners = facts.corners
+        track = replace(track, contour_sigma_px=track_contour_sigma_px(view, track, corners))
+    elif corners is not None:
         corners, sigma_px = radius_in_flight(view, source, track, corners)
         view = with_corner_radius(view, corners.radius_m)
         track = replace(track, contour_sigma_px=sigma_px, turning=turning_of(view.die))
     elif facts.rounding is CornerRounding.TESTED and view.die.corner_radius_m == 0.0:
-        corners, sigma_px = radius_by_impacts(track, view.die, view.camera, decimation_factor(track, view.die))
+        every = decimation_factor(track, view.die)
+        corners, sigma_px = radius_by_impacts(track, view.die, view.camera, every)
+        track = replace(track, contour_sigma_px=sigma_px)
         if corners is not None:
             view = with_corner_radius(view, corners.radius_m)
-        track = replace(track, contour_sigma_px=sigma_px, turning=turning_of(view.die))
+            track = replace(track, turning=turning_of(view.die))
+            rounded = partial(track_clip, clips, cameras, background=background, quality=quality, progress=progress)
+            again = _tracked_as_rounded(rounded, view.die, facts, corners)
+            if again is not None and flies_as_before(again.track, track, view.die, view.camera, every):
+                return again
     calibrated = with_calibrated_covariance(track, view.die, view.camera, every=decimation_factor(track, view.die))
     if view.readout_s != 0.0:
         calibrated = _at_frame_times(view, source, calibrated, throw)
     lens = view.lens if view.lens.aperture_m > 0.0 else None
     return TrackedClip(calibrated, result.marks, offsets, view.die, corners, empty, response, lens)
+
+
+def _tracked_as_rounded(
+    tracked: Callable[..., TrackedClip], die: Die, facts: ClipFacts, corners: CornerRadius
+) -> TrackedClip | None:
+    """The clip tracked again, with a die that has the radius which impacts showed; None if that is not found."""
+    try:
+        return tracked(die=die, facts=replace(facts, rounding=CornerRounding.GIVEN, corners=corners))
+    except NoDieError:
+        return None
 
 
 def _response(view: View, source: FrameSource, poses: ClipPoses) -> EstimatedResponse | None:

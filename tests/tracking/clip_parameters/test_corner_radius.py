@@ -36,7 +36,7 @@ from diethrow.tracking.frame_to_frame import TrackingTask
 from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.pose.refine import pose_state, refine_pose
 from diethrow.tracking.quality import FAST
-from diethrow.tracking.sequence import rounded_corners
+from diethrow.tracking.sequence import rounded_corners, tracker
 from diethrow.tracking.sequence.tracker import ClipFacts, TrackedClip, track_clip
 
 STUDIO = replace(studio(), noise_grey=2.0)
@@ -228,6 +228,31 @@ def test_a_given_radius_is_kept() -> None:
     assert result.corners is None
     assert result.die.corner_radius_m == RADIUS_M
     assert result.track.contour_sigma_px == 0.0
+
+
+def shown_by_impacts(monkeypatch: pytest.MonkeyPatch, radius_m: float) -> TrackedClip:
+    """The clip, whose pictures show sharp corners and whose impacts show a radius."""
+    shown = CornerRadius(radius_m, 0.1 * radius_m, by_impacts=True)
+    monkeypatch.setattr(rounded_corners, "_radius_from_pictures", lambda *_: (None, False))
+    monkeypatch.setattr(tracker, "radius_by_impacts", lambda *_: (shown, 0.6))
+    return tracked.__wrapped__(CornerRounding.TESTED, 0.0)
+
+
+def test_a_die_is_tracked_again_with_the_radius_that_its_impacts_show(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if it had been given; but the place of its contour is only known as well as the radius is."""
+    given, result = tracked(CornerRounding.GIVEN, RADIUS_M), shown_by_impacts(monkeypatch, RADIUS_M)
+    assert np.array_equal(result.track.position_m, given.track.position_m, equal_nan=True)
+    assert result.corners is not None
+    assert "sharp" in result.corners.notice
+    assert result.die.corner_radius_m == result.corners.radius_m == RADIUS_M
+    assert 0.0 < result.track.contour_sigma_px < 0.4 * result.corners.sigma_m * PX_PER_M
+
+
+def test_poses_of_a_sharp_die_remain_where_it_does_not_fly_as_rounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tracker, "flies_as_before", lambda *_: False)
+    sharp, result = tracked(CornerRounding.GIVEN, 0.0), shown_by_impacts(monkeypatch, RADIUS_M)
+    assert np.array_equal(result.track.position_m, sharp.track.position_m, equal_nan=True)
+    assert result.track.contour_sigma_px == 0.6
 
 
 @cache

@@ -12,7 +12,7 @@ from throws import DICE, random_release, seen, true_throw
 from diethrow.model.die.die import Die
 from diethrow.model.rotations import matrix_from_quat
 from diethrow.model.throw.motion import Throw
-from diethrow.tracking.clip_parameters.radius_by_impacts import OPEN_CONTOUR_PX, radius_by_impacts
+from diethrow.tracking.clip_parameters.radius_by_impacts import OPEN_CONTOUR_PX, flies_as_before, radius_by_impacts
 from diethrow.tracking.throw.measurement import measure
 from diethrow.tracking.throw.shared_bias import outline_growth, shared_bias_jacobian
 from diethrow.tracking.track import LOST, Track
@@ -77,6 +77,19 @@ def test_a_contour_that_lies_elsewhere_is_found_without_a_radius() -> None:
     assert found is None or found.radius_m < 0.5e-3
     assert distance_error_m(track, CUBE, throw) > 4e-3
     assert distance_error_m(replace(track, contour_sigma_px=sigma_px), CUBE, throw) < 0.1e-3
+
+
+def test_a_die_tracked_again_meets_the_table_as_before() -> None:
+    """At its corners, on all frames; not if it is lost, or strikes in the air."""
+    die = replace(CUBE, corner_radius_m=0.5e-3)
+    before, again = filmed(die, 2, 0.3)[0], filmed(die, 2, 0.0)[0]
+    assert flies_as_before(again, before, die, CAMERA)
+    n = len(again)
+    lost = replace(again, status=np.where(np.arange(n) < 0.9 * n, again.status, LOST))
+    assert not flies_as_before(lost, before, die, CAMERA)
+    # Half a circumradius and more above the table no contact is looked for.
+    above = replace(again, position_m=again.position_m + np.array([0.0, 0.0, 0.02]))
+    assert not flies_as_before(above, before, die, CAMERA)
 
 
 def test_a_throw_without_a_flight_shows_nothing() -> None:
