@@ -1,4 +1,4 @@
-"""Rates of success over random clips: `python benchmarks/population.py [--clips 100] [--seed 1]`.
+"""Rates of success over random clips: `python benchmarks/population.py [--clips 100] [--seed 1 ...]`.
 
 Each clip is drawn from stated ranges (`population_clips/draw.py`: shape, corner radius, gloss, paint, light, view, size in
 the picture, frame rate, exposure, spin, response, noise, shutter, codec), rendered by rays, tracked and fitted as `diethrow
@@ -24,6 +24,8 @@ The table has a row for each kind of clip, with counts and, below 100 %, interva
 scene that says nothing counts as known; the truth is that of the exact ones. `benchmarks/honesty.py` sums both up.
 
 `--corners found` leaves the corner radius out of the scenes, as a scene may, and prints how often it is found.
+
+`--markdown` prints a shorter table, as the documentation has it, of the most common kinds.
 
 `--worst N` saves pictures of the worst clips: six frames about the first pose that is wrong, or spread over the clip.
 """
@@ -84,6 +86,8 @@ DRAWN_STREAM = 26
 """Of the random numbers of a clip's calibration."""
 CALLS = 6
 """Calls, from the innermost, that the record of a crash names."""
+FEWEST_CLIPS = 15
+"""Fewest clips of a kind that has a row in the table of the documentation."""
 DEFAULT_CACHE = Path.home() / ".cache" / "diethrow" / "population"
 
 
@@ -92,7 +96,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--clips", type=int, default=100, help="number of clips (%(default)s)")
     parser.add_argument("--first", type=int, default=0, help="number of the first clip (%(default)s)")
-    parser.add_argument("--seed", type=int, default=1, help="(%(default)s)")
+    parser.add_argument(
+        "--seed", type=int, nargs="+", default=[1], help="of the clips; of several, all are counted (1)"
+    )
     parser.add_argument("--cache", type=Path, default=DEFAULT_CACHE, help="folder of clips and results (%(default)s)")
     parser.add_argument("--label", default="main", help="name of the results, for comparison (%(default)s)")
     parser.add_argument("--quality", choices=list(QUALITIES), default="standard")
@@ -101,33 +107,47 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--again", action="store_true", help="analyse clips again that have results")
     parser.add_argument("--kind", action="append", default=[], help="only clips of this kind; may be repeated")
     parser.add_argument("--list", action="store_true", help="print a line for every clip")
+    parser.add_argument("--markdown", action="store_true", help="print the table of the documentation")
     parser.add_argument("--worst", type=int, default=10, help="clips to save pictures of (%(default)s)")
     parser.add_argument("--workers", type=int, default=cores(), help="processes of this machine (%(default)s)")
     parser.add_argument("--scheduler", help="address of a Dask scheduler instead, whose workers see the cache")
     chosen = parser.parse_args(arguments)
-    clips = chosen.cache / f"seed{chosen.seed}_v{RENDERER_VERSION}"
-    results = results_path(chosen.cache, chosen.seed, chosen.label, chosen.quality, chosen.calibration, chosen.corners)
-    results.parent.mkdir(parents=True, exist_ok=True)
     numbers = range(chosen.first, chosen.first + chosen.clips)
-    known = {} if chosen.again else read_results(results)
-    missing = [k for k in numbers if k not in known]
     with executor_of(chosen) as executor:
-        how = (chosen.quality, tuple(chosen.kind), chosen.calibration, chosen.corners)
-        work = [executor.submit(clip_result, clips, chosen.seed, k, *how) for k in missing]
-        for result in progress(work):
-            known[result["clip"]] = result
-            with results.open("a") as file:
-                file.write(json.dumps(result) + "\n")
-    wanted = [known[k] for k in numbers if k in known and known[k]["outcome"] != "skipped"]
+        wanted = [result for seed in chosen.seed for result in results_of(executor, seed, numbers, chosen)]
     if chosen.list:
         for result in wanted:
             print(line_of(result))
-    print_table(wanted)
+    if chosen.markdown:
+        print_markdown(wanted)
+    else:
+        print_table(wanted)
     if chosen.corners == "found":
         print_radii(wanted)
     for result in sorted(wanted, key=badness, reverse=True)[: chosen.worst]:
-        save_picture(clips, result, results.parent / f"{chosen.label}_worst")
+        clips = clips_of(chosen.cache, result["seed"])
+        save_picture(clips, result, clips / "results" / f"{chosen.label}_worst")
     return 1 if any(result["outcome"] == "crashed" for result in wanted) else 0
+
+
+def clips_of(cache: Path, seed: int) -> Path:
+    """The folder of the clips of a seed."""
+    return cache / f"seed{seed}_v{RENDERER_VERSION}"
+
+
+def results_of(executor: Executor, seed: int, numbers: range, chosen: argparse.Namespace) -> list[dict[str, Any]]:
+    """The results of some clips of a seed: those that are known, and the others, analysed and added to the file."""
+    results = results_path(chosen.cache, seed, chosen.label, chosen.quality, chosen.calibration, chosen.corners)
+    results.parent.mkdir(parents=True, exist_ok=True)
+    known = {} if chosen.again else read_results(results)
+    how = (chosen.quality, tuple(chosen.kind), chosen.calibration, chosen.corners)
+    missing = [k for k in numbers if k not in known]
+    work = [executor.submit(clip_result, clips_of(chosen.cache, seed), seed, k, *how) for k in missing]
+    for result in progress(work):
+        known[result["clip"]] = result
+        with results.open("a") as file:
+            file.write(json.dumps(result) + "\n")
+    return [known[k] | {"seed": seed} for k in numbers if k in known and known[k]["outcome"] != "skipped"]
 
 
 @contextmanager
@@ -146,7 +166,7 @@ def results_path(
 ) -> Path:
     """The file of results."""
     suffix = ("" if calibration == "exact" else f"_{calibration}") + ("" if corners == "given" else "_corners")
-    return cache / f"seed{seed}_v{RENDERER_VERSION}" / "results" / f"{label}_{quality}{suffix}.jsonl"
+    return clips_of(cache, seed) / "results" / f"{label}_{quality}{suffix}.jsonl"
 
 
 def read_results(path: Path) -> dict[int, dict[str, Any]]:
@@ -372,9 +392,59 @@ def print_table(results: Sequence[dict[str, Any]]) -> None:
     widths = [max(len(row[k]) for row in (heads, *rows)) for k in range(len(heads))]
     for row in (heads, *rows):
         print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
-    reasons = [f"  clip {r['clip']}: {r['reason']}" for r in results if r["outcome"] in ("refused", "crashed")]
+    reasons = [
+        f"  seed {r['seed']} clip {r['clip']}: {r['reason']}" for r in results if r["outcome"] in ("refused", "crashed")
+    ]
     if reasons:
         print("\nrefused or crashed:", *reasons, sep="\n")
+
+
+def print_markdown(results: Sequence[dict[str, Any]]) -> None:
+    """The table of the documentation: without intervals, of the kinds with FEWEST_CLIPS or more."""
+    heads = (
+        "kind",
+        "clips",
+        "first pose right",
+        "frames tracked",
+        "off by over 5° or 1 mm",
+        "or 5 σ",
+        "of these, named",
+    )
+    heads += ("lone bounces found, spurious", "NEES", "rotation °", "depth mm", "χ held")
+    print(f"| {' | '.join(heads)} |\n|{' --- |' * len(heads)}")
+    kinds = {kind: [r for r in results if kind in r["kinds"]] for result in results for kind in result["kinds"]}
+    for kind, some in [("all", list(results)), *sorted(kinds.items(), key=lambda item: -len(item[1]))]:
+        if len(some) >= FEWEST_CLIPS:
+            print(f"| {' | '.join(markdown_row(kind, some))} |")
+
+
+def markdown_row(kind: str, results: Sequence[dict[str, Any]]) -> tuple[str, ...]:
+    """Its cells of one kind."""
+    good = [result for result in results if result["outcome"] == "analysed"]
+    posed = [result for result in good if "nees" in result]
+    sums = {
+        name: sum(int(result[name]) for result in good)
+        for name in ("begun", "visible", "tracked", "gross", "wrong", "unnamed", "lone", "found", "spurious")
+    }
+    held = [result["chi"]["holds"] for result in posed if result["chi"]["holds"] is not None]
+
+    def percent(count: int, total: int, digits: int = 0) -> str:
+        return f"{100 * count / total:.{digits}f} %" if total else ""
+
+    return (
+        kind,
+        str(len(results)),
+        f"{sums['begun']} of {len(good)}",
+        percent(sums["tracked"], sums["visible"], 1),
+        percent(sums["gross"], sums["tracked"], 1),
+        percent(sums["wrong"], sums["tracked"], 1),
+        f"{sums['wrong'] - sums['unnamed']} of {sums['wrong']}",
+        f"{sums['found']} of {sums['lone']}, {sums['spurious']}",
+        f"{np.median([result['nees'] for result in posed]):.1f}",
+        f"{np.median([result['rotation'][0] for result in posed]):.2f}",
+        f"{np.median([result['depth'][0] for result in posed]):.2f}",
+        f"{sum(held)} of {len(held)}",
+    )
 
 
 def print_radii(results: Sequence[dict[str, Any]]) -> None:
