@@ -43,11 +43,13 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, as_completed
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from accuracy import (
+    LONE_FRAMES,
     MATCHED_FRAMES,
     Truth,
     body_turn,
@@ -86,6 +88,8 @@ DRAWN_STREAM = 26
 """Of the random numbers of a clip's calibration."""
 CALLS = 6
 """Calls, from the innermost, that the record of a crash names."""
+MOST_APART = 1000.0
+"""Frames to the next bounce that are recorded at the most: there may be none."""
 FEWEST_CLIPS = 15
 """Fewest clips of a kind that has a row in the table of the documentation."""
 DEFAULT_CACHE = Path.home() / ".cache" / "diethrow" / "population"
@@ -122,6 +126,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print_markdown(wanted)
     else:
         print_table(wanted)
+    print_bounces(wanted)
     if chosen.corners == "found":
         print_radii(wanted)
     for result in sorted(wanted, key=badness, reverse=True)[: chosen.worst]:
@@ -335,18 +340,30 @@ def named(frame: int, messages: Sequence[str]) -> bool:
 
 
 def bounces_of(tracking: Tracking, truth: Truth) -> dict[str, Any]:
-    """Lone bounces in view, those found, and spurious ones."""
+    """Lone bounces in view, those found, and spurious ones; frames from each to the next bounce, and whether it was found."""
     frame_s = float(np.median(np.diff(truth.time_s)))
     times = np.array([impact.time_s for impact in tracking.measured.impacts])
     gaps = np.abs(times[:, None] - truth.bounce_s) / frame_s
     wanted = np.flatnonzero(findable(truth, frame_s))
     found = [k for k in wanted if gaps[:, k].min(initial=np.inf) < MATCHED_FRAMES]
+    others = [np.abs(np.delete(truth.bounce_s, k) - truth.bounce_s[k]).min(initial=np.inf) / frame_s for k in wanted]
     return {
         "lone": len(wanted),
         "found": len(found),
+        "apart": [(float(min(other, MOST_APART)), k in found) for k, other in zip(wanted, others, strict=True)],
         "spurious": int((gaps.min(1, initial=np.inf) > MATCHED_FRAMES).sum()),
         "late": [float(gaps[:, k].min()) for k in found],
     }
+
+
+def print_bounces(results: Sequence[dict[str, Any]]) -> None:
+    """How many of the lone bounces are found, by the frames to the next bounce."""
+    bounces = [bounce for result in results for bounce in result.get("apart", [])]
+    print("\nframes to the next bounce  lone bounces  found")
+    for low, high in pairwise((LONE_FRAMES, 4.0, 8.0, 16.0, np.inf)):
+        found = [was_found for apart, was_found in bounces if low < apart <= high]
+        name = f"{low:g} to {high:g}" if high < np.inf else f"over {low:g}"
+        print(f"{name:25s}  {len(found):12d}  {share(sum(found), len(found))}".rstrip())
 
 
 def radius_of(scene: Scene, tracking: Tracking) -> dict[str, float]:
@@ -401,16 +418,8 @@ def print_table(results: Sequence[dict[str, Any]]) -> None:
 
 def print_markdown(results: Sequence[dict[str, Any]]) -> None:
     """The table of the documentation: without intervals, of the kinds with FEWEST_CLIPS or more."""
-    heads = (
-        "kind",
-        "clips",
-        "first pose right",
-        "frames tracked",
-        "off by over 5° or 1 mm",
-        "or 5 σ",
-        "of these, named",
-    )
-    heads += ("lone bounces found, spurious", "NEES", "rotation °", "depth mm", "χ held")
+    heads = ("kind", "clips", "first pose right", "frames tracked", "off by over 5° or 1 mm", "or 5 σ")
+    heads += ("of these named", "lone bounces found", "spurious", "NEES", "rotation °", "depth mm", "χ held")
     print(f"| {' | '.join(heads)} |\n|{' --- |' * len(heads)}")
     kinds = {kind: [r for r in results if kind in r["kinds"]] for result in results for kind in result["kinds"]}
     for kind, some in [("all", list(results)), *sorted(kinds.items(), key=lambda item: -len(item[1]))]:
@@ -439,7 +448,8 @@ def markdown_row(kind: str, results: Sequence[dict[str, Any]]) -> tuple[str, ...
         percent(sums["gross"], sums["tracked"], 1),
         percent(sums["wrong"], sums["tracked"], 1),
         f"{sums['wrong'] - sums['unnamed']} of {sums['wrong']}",
-        f"{sums['found']} of {sums['lone']}, {sums['spurious']}",
+        f"{sums['found']} of {sums['lone']}",
+        str(sums["spurious"]),
         f"{np.median([result['nees'] for result in posed]):.1f}",
         f"{np.median([result['rotation'][0] for result in posed]):.2f}",
         f"{np.median([result['depth'][0] for result in posed]):.2f}",

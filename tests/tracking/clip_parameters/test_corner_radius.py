@@ -249,6 +249,7 @@ def test_a_die_is_tracked_again_with_the_radius_that_its_impacts_show(monkeypatc
 
 
 def test_poses_of_a_sharp_die_remain_where_it_does_not_fly_as_rounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tracker, "_tracked_as_rounded", lambda *_: tracked(CornerRounding.GIVEN, RADIUS_M))
     monkeypatch.setattr(tracker, "flies_as_before", lambda *_: False)
     sharp, result = tracked(CornerRounding.GIVEN, 0.0), shown_by_impacts(monkeypatch, RADIUS_M)
     assert np.array_equal(result.track.position_m, sharp.track.position_m, equal_nan=True)
