@@ -1,4 +1,4 @@
-"""Are covariances and intervals as large as the errors? `python benchmarks/honesty.py [--seed 1] [--label main]`.
+"""Are covariances and intervals as large as the errors? `python benchmarks/honesty.py [--seed 1 ...] [--label main]`.
 
 Sums up what `benchmarks/population.py` has measured, once with exact calibrations stated as such, and once with calibrations off
 by draws from what is stated (`--calibration drawn`). A clip whose track failed, with a frame off by more than 5 degrees or 1 mm
@@ -36,21 +36,27 @@ SEED = 26
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the tables. The exit status is 1 where there is nothing to sum up."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seed", type=int, default=1, help="(%(default)s)")
+    parser.add_argument(
+        "--seed", type=int, nargs="+", default=[1], help="of the clips; of several, all are counted (1)"
+    )
     parser.add_argument("--cache", type=Path, default=DEFAULT_CACHE, help="folder of clips and results (%(default)s)")
     parser.add_argument("--label", default="main", help="name of the results (%(default)s)")
     parser.add_argument("--quality", choices=list(QUALITIES), default="standard")
     chosen = parser.parse_args(arguments)
     shown = False
     for calibration in ("exact", "drawn"):
-        path = results_path(chosen.cache, chosen.seed, chosen.label, chosen.quality, calibration)
-        results = [one for one in read_results(path).values() if one["outcome"] == "analysed" and "nees_mean" in one]
+        paths = [results_path(chosen.cache, seed, chosen.label, chosen.quality, calibration) for seed in chosen.seed]
+        known = (one for path in paths for one in read_results(path).values())
+        results = [one for one in known if one["outcome"] == "analysed" and "nees_mean" in one]
         if results:
             print(f"\ncalibration {calibration}")
             print_table(results)
             shown = True
     if not shown:
-        print(f"no results of seed {chosen.seed}, label {chosen.label}: run benchmarks/population.py", file=sys.stderr)
+        print(
+            f"no results of seed {' '.join(map(str, chosen.seed))}, label {chosen.label}: run benchmarks/population.py",
+            file=sys.stderr,
+        )
     return 0 if shown else 1
 
 

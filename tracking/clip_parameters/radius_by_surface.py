@@ -6,7 +6,7 @@ out, no distance imitates: a tetrahedron of 100 pixels an edge whose corners are
 its corners. Edges alone, which `corner_radius` compares, tell radii of about a pixel; what a codec or the motion during the
 exposure smears there looks like a bevel of several.
 
-The first radius is the least whose bevels are drawn (LEAST_ROUNDED_PX), or that which the blur gives to any corner: a drawn
+The first radius is FIRST_PX, whose bevels are drawn, or that which the blur gives to any corner: a drawn
 one is blurred across its edges alone. If the next costs more, the die is hardly rounded. A coarse codec rounds corners as
 well: JPEG of quality 30 those of a sharp cube by two pixels, of quality 15 by three.
 """
@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..picture import THREADS, View, with_corner_radius
-from ..placed_die import LEAST_ROUNDED_PX
 from ..pose import SampledFrames, pose_state, refine_pose, weak_prior
 from .corner_radius import (
     FEWEST_FRAMES,
@@ -35,8 +34,8 @@ from .corner_radius import (
 
 SURFACE_FRAMES = 10
 """Frames that are compared: of a rounded die each shows the corners."""
-FIRST_SHARE = 1.02
-"""First radius, in LEAST_ROUNDED_PX where the die is farthest: the pose may go farther yet."""
+FIRST_PX = 1.02
+"""First radius where the die is farthest."""
 FIRST_BLURS = 1.8
 """The same in lens blurs: sharp cubes and tetrahedra of 1.2, 2.4 and 3.5 px of blur cost least with 1 to 2 blurs."""
 SURFACE_RATIO = 1.4
@@ -131,7 +130,7 @@ def surface_gain_over_sharp(
 
 def _first_radius_m(view: View, frames: SampledFrames) -> float:
     """The first radius [m]: every camera draws its bevels on all frames."""
-    first_px = max(FIRST_SHARE * LEAST_ROUNDED_PX, FIRST_BLURS * view.blur_px)
+    first_px = max(FIRST_PX, FIRST_BLURS * view.blur_px)
     m_per_px = (
         ((frames.position_m - camera.centre_m) @ camera.rotation[2]).max(initial=0.0) / camera.matrix[0, 0]
         for camera in view.cameras
