@@ -305,8 +305,10 @@ def _chi2_about(view: View, source: FrameSource, poses: ClipPoses, other: ClipPo
 
 
 def _median_chi2(view: View, source: FrameSource, poses: ClipPoses, shown: Mask, within: tuple[int, int]) -> float:
-    """Median reduced chi-square of windows of the shown frames within a range."""
+    """Median reduced chi-square of windows of the shown frames within a range; infinite without any."""
     rows = np.flatnonzero(shown[slice(*within)])[:: WINDOW // 2] + within[0]
+    if not len(rows):
+        return np.inf
     return float(np.median(_reduced_chi2(as_track(view, source, poses, shown), rows, within)))
 
 

@@ -213,6 +213,16 @@ def test_a_frame_beyond_an_impact_makes_no_reversal_of_right_poses() -> None:
     assert ratio > MAX_CHI2_RATIO
 
 
+def test_poses_that_no_frame_shows_are_not_better() -> None:
+    """A die followed out of view flies as evenly as the one in view."""
+    view, source, flight = spinning_triangle()
+    right = seen_at(view, source, flight, reverse=False)
+    other = right.copy()
+    other.position_m += np.array([1.0, 0.0, 0.0])
+    ratio, _ = _chi2_ratio(view, source, right, other, slice(0, FRAMES))
+    assert ratio > MAX_CHI2_RATIO
+
+
 @dataclass(frozen=True)
 class Struck:
     """A die that impacts deflect again and again."""
