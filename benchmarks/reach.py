@@ -1,7 +1,7 @@
 """How far off the refinement of a well-rounded die may begin: `python benchmarks/reach.py [--clips 48] [--seed 1]`.
 
-Frames of those random clips of `population.py` whose dice are compared by their whole surface (corners that are balls of more
-than a pixel) are refined from poses that lie some pixels and degrees beside the true one, in random directions: by the edges
+Frames of those random clips of `population.py` whose dice are compared by their whole surface (corners that are balls of 0.4
+px or more) are refined from poses that lie some pixels and degrees beside the true one, in random directions: by the edges
 alone, and by the surface, each after so many coarse steps. The table gives the share of frames [%] that come within NEAR_DEG
 of the true pose. Frames whose refinement from the true pose itself ends farther away are left out.
 """

@@ -6,9 +6,9 @@ out, no distance imitates: a tetrahedron of 100 pixels an edge whose corners are
 its corners. Edges alone, which `corner_radius` compares, tell radii of about a pixel; what a codec or the motion during the
 exposure smears there looks like a bevel of several.
 
-The first radius is FIRST_PX, whose bevels are drawn, or that which the blur gives to any corner: a drawn
-one is blurred across its edges alone. If the next costs more, the die is hardly rounded. A coarse codec rounds corners as
-well: JPEG of quality 30 those of a sharp cube by two pixels, of quality 15 by three.
+The first radius is FIRST_PX, or that which the blur gives to any corner: a drawn one is blurred across its edges alone. If
+the next costs more, the die is hardly rounded. A coarse codec rounds corners as well: JPEG of quality 30 those of a sharp cube
+by two pixels, of quality 15 by three.
 """
 
 from __future__ import annotations

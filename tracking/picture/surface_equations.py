@@ -146,8 +146,8 @@ def add_picture_equations(
 
 @inner_no_memory
 def compares_surface(view: int, model: PictureModel, pose: PoseState) -> bool:
-    """Whether the whole surface is compared in a view, and not edges: of a die with bevels wider than the blur, unless it is seen
-    in a mirror, or bevels may have any shade."""
+    """Whether the whole surface is compared in a view, and not edges: of a die rounded by LEAST_ROUNDED_PX or more, unless it is
+    seen in a mirror, or bevels may have any shade."""
     shape, rig = model.shape, model.rig
     if not (shape.radius > 0.0 and rig.partner[view] < 0 and model.settings.light.level[view] != NO_LIGHT):
         return False

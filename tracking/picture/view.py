@@ -210,8 +210,8 @@ class View:
         )
 
     def shows_surface(self, position_m: Array) -> bool:
-        """Whether pictures of the die at a place (3,) are compared pixel by pixel, since its bevels are wider than the blur
-        (`surface_equations`)."""
+        """Whether pictures of the die at a place (3,) are compared pixel by pixel (`surface_equations`), since it is rounded by
+        LEAST_ROUNDED_PX or more."""
         depth_m = float(self.camera.rotation[2] @ (position_m - self.camera.centre_m))
         return not self.mirror and self.shape.radius * self.camera.matrix[0, 0] > LEAST_ROUNDED_PX * depth_m
 
