@@ -24,6 +24,7 @@ from .lens_blur import BLUR_FRAMES as BLUR_FRAMES
 from .lens_blur import depth_of_field as depth_of_field
 from .lens_blur import estimate_lens as estimate_lens
 from .light import with_light as with_light
+from .radius_by_impacts import SUFFICIENT_FRAMES as SUFFICIENT_FRAMES
 from .radius_by_impacts import flies_as_before as flies_as_before
 from .radius_by_impacts import open_contour_notice as open_contour_notice
 from .radius_by_impacts import radius_by_impacts as radius_by_impacts

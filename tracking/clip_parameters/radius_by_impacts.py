@@ -37,10 +37,8 @@ IMPACT_RATIO = 1.5
 IMPACT_SIGMA_SHARE = 0.4
 """Standard deviation of the radius found, as a share of it. With the place of the contour and the frames of a contact above it
 rests on one seed of random clips and on simulated throws."""
-
-
 SUFFICIENT_FRAMES = 0.95
-"""Least share of the frames of a track that are tracked again with the radius found."""
+"""Share of the frames tracked with another radius, or none, below which a radius is rejected."""
 
 
 def radius_by_impacts(track: Track, die: Die, camera: Camera, every: int = 1) -> tuple[CornerRadius | None, float]:

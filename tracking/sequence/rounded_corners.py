@@ -12,6 +12,7 @@ import numpy as np
 from ...model.rotations import matrix_from_quat
 from ..clip_parameters import (
     RADIUS_FRAMES,
+    SUFFICIENT_FRAMES,
     SURFACE_FRAMES,
     CornerRadius,
     CornerRounding,
@@ -47,8 +48,6 @@ SAME_RADIUS = 0.1
 SMALLER_RADIUS = 0.9
 """Factor on a radius that the flights of its pass do not support: little decides whether an impact is lost, and it is rather lost
 with a radius that is too large."""
-SUFFICIENT_FRAMES = 0.95
-"""Share of the frames tracked with another radius, or none, below which a radius is rejected."""
 EXCLUDED_SIGMAS = 4.0
 """Standard errors of the contour, by the flights of a sharp die, by which it must lie nearer to that than to a rounded one's."""
 SHARP_CONTOUR_PX = 0.25
