@@ -25,7 +25,7 @@ scene that says nothing counts as known; the truth is that of the exact ones. `b
 
 `--corners found` leaves the corner radius out of the scenes, as a scene may, and prints how often it is found.
 
-`--markdown` prints a shorter table, as the documentation has it, of the most common kinds.
+`--markdown` prints shorter tables, as the documentation has them, of the most common kinds.
 
 `--worst N` saves pictures of the worst clips: six frames about the first pose that is wrong, or spread over the clip.
 """
@@ -417,18 +417,20 @@ def print_table(results: Sequence[dict[str, Any]]) -> None:
 
 
 def print_markdown(results: Sequence[dict[str, Any]]) -> None:
-    """The table of the documentation: without intervals, of the kinds with FEWEST_CLIPS or more."""
-    heads = ("kind", "clips", "first pose right", "frames tracked", "off by over 5° or 1 mm", "or 5 σ")
-    heads += ("of these named", "lone bounces found", "spurious", "NEES", "rotation °", "depth mm", "χ held")
-    print(f"| {' | '.join(heads)} |\n|{' --- |' * len(heads)}")
+    """The tables of the documentation: without intervals, of the kinds with FEWEST_CLIPS or more."""
     kinds = {kind: [r for r in results if kind in r["kinds"]] for result in results for kind in result["kinds"]}
-    for kind, some in [("all", list(results)), *sorted(kinds.items(), key=lambda item: -len(item[1]))]:
-        if len(some) >= FEWEST_CLIPS:
-            print(f"| {' | '.join(markdown_row(kind, some))} |")
+    common = [("all", list(results)), *sorted(kinds.items(), key=lambda item: -len(item[1]))]
+    rows = [(kind, *markdown_cells(some)) for kind, some in common if len(some) >= FEWEST_CLIPS]
+    found = ("kind", "clips", "begun", "tracked", "off", "or 5 σ", "named", "bounces")
+    errors = ("kind", "NEES", "rotation °", "depth mm", "χ held")
+    for heads, columns in ((found, range(8)), (errors, (0, *range(8, 12)))):
+        print(f"\n| {' | '.join(heads)} |\n|{' --- |' * len(heads)}")
+        for row in rows:
+            print(f"| {' | '.join(row[column] for column in columns)} |")
 
 
-def markdown_row(kind: str, results: Sequence[dict[str, Any]]) -> tuple[str, ...]:
-    """Its cells of one kind."""
+def markdown_cells(results: Sequence[dict[str, Any]]) -> tuple[str, ...]:
+    """Their cells of one kind."""
     good = [result for result in results if result["outcome"] == "analysed"]
     posed = [result for result in good if "nees" in result]
     sums = {
@@ -438,22 +440,21 @@ def markdown_row(kind: str, results: Sequence[dict[str, Any]]) -> tuple[str, ...
     held = [result["chi"]["holds"] for result in posed if result["chi"]["holds"] is not None]
 
     def percent(count: int, total: int, digits: int = 0) -> str:
-        return f"{100 * count / total:.{digits}f} %" if total else ""
+        # A space that does not break keeps a row on one line.
+        return f"{100 * count / total:.{digits}f}\u00a0%" if total else ""
 
     return (
-        kind,
         str(len(results)),
-        f"{sums['begun']} of {len(good)}",
+        f"{sums['begun']}/{len(good)}",
         percent(sums["tracked"], sums["visible"], 1),
         percent(sums["gross"], sums["tracked"], 1),
         percent(sums["wrong"], sums["tracked"], 1),
-        f"{sums['wrong'] - sums['unnamed']} of {sums['wrong']}",
-        f"{sums['found']} of {sums['lone']}",
-        str(sums["spurious"]),
+        f"{sums['wrong'] - sums['unnamed']}/{sums['wrong']}",
+        f"{sums['found']}/{sums['lone']}\u00a0+{sums['spurious']}",
         f"{np.median([result['nees'] for result in posed]):.1f}",
         f"{np.median([result['rotation'][0] for result in posed]):.2f}",
         f"{np.median([result['depth'][0] for result in posed]):.2f}",
-        f"{sum(held)} of {len(held)}",
+        f"{sum(held)}/{len(held)}",
     )
 
 
