@@ -281,10 +281,15 @@ def findable(truth: Truth, frame_s: float) -> Flags:
     flags = np.zeros(len(truth.bounce_s), bool)
     for k, t in enumerate(truth.bounce_s):
         row = int(np.abs(truth.time_s - t).argmin())
-        apart = np.abs(np.delete(truth.bounce_s, k) - t) / frame_s
         inside = MARGIN_FRAMES <= row < len(truth.frame) - MARGIN_FRAMES
-        flags[k] = inside and truth.visible[row] and (apart > LONE_FRAMES).all()
-    return flags
+        flags[k] = inside and truth.visible[row]
+    return flags & (frames_to_next_bounce(truth, frame_s) > LONE_FRAMES)
+
+
+def frames_to_next_bounce(truth: Truth, frame_s: float) -> Array:
+    """(bounces,) frames from each bounce to the nearest other one, before or after it; infinite for an only one."""
+    others = [np.delete(truth.bounce_s, k) for k in range(len(truth.bounce_s))]
+    return np.array([np.abs(o - t).min(initial=np.inf) for o, t in zip(others, truth.bounce_s, strict=True)]) / frame_s
 
 
 def chi_text(result: AnalysedThrow, true: float) -> str:

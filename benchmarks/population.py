@@ -54,6 +54,7 @@ from accuracy import (
     Truth,
     body_turn,
     findable,
+    frames_to_next_bounce,
     read_truth,
     rotations_onto,
     rows_of,
@@ -346,11 +347,11 @@ def bounces_of(tracking: Tracking, truth: Truth) -> dict[str, Any]:
     gaps = np.abs(times[:, None] - truth.bounce_s) / frame_s
     wanted = np.flatnonzero(findable(truth, frame_s))
     found = [k for k in wanted if gaps[:, k].min(initial=np.inf) < MATCHED_FRAMES]
-    others = [np.abs(np.delete(truth.bounce_s, k) - truth.bounce_s[k]).min(initial=np.inf) / frame_s for k in wanted]
+    apart = np.minimum(frames_to_next_bounce(truth, frame_s), MOST_APART)
     return {
         "lone": len(wanted),
         "found": len(found),
-        "apart": [(float(min(other, MOST_APART)), k in found) for k, other in zip(wanted, others, strict=True)],
+        "apart": [(float(apart[k]), k in found) for k in wanted],
         "spurious": int((gaps.min(1, initial=np.inf) > MATCHED_FRAMES).sum()),
         "late": [float(gaps[:, k].min()) for k in found],
     }
@@ -430,7 +431,7 @@ def print_markdown(results: Sequence[dict[str, Any]]) -> None:
 
 
 def markdown_cells(results: Sequence[dict[str, Any]]) -> tuple[str, ...]:
-    """Their cells of one kind."""
+    """The cells of one kind, behind its name."""
     good = [result for result in results if result["outcome"] == "analysed"]
     posed = [result for result in good if "nees" in result]
     sums = {
@@ -439,16 +440,16 @@ def markdown_cells(results: Sequence[dict[str, Any]]) -> tuple[str, ...]:
     }
     held = [result["chi"]["holds"] for result in posed if result["chi"]["holds"] is not None]
 
-    def percent(count: int, total: int, digits: int = 0) -> str:
+    def percent(count: int, total: int) -> str:
         # A space that does not break keeps a row on one line.
-        return f"{100 * count / total:.{digits}f}\u00a0%" if total else ""
+        return f"{100 * count / total:.1f}\u00a0%" if total else ""
 
     return (
         str(len(results)),
         f"{sums['begun']}/{len(good)}",
-        percent(sums["tracked"], sums["visible"], 1),
-        percent(sums["gross"], sums["tracked"], 1),
-        percent(sums["wrong"], sums["tracked"], 1),
+        percent(sums["tracked"], sums["visible"]),
+        percent(sums["gross"], sums["tracked"]),
+        percent(sums["wrong"], sums["tracked"]),
         f"{sums['wrong'] - sums['unnamed']}/{sums['wrong']}",
         f"{sums['found']}/{sums['lone']}\u00a0+{sums['spurious']}",
         f"{np.median([result['nees'] for result in posed]):.1f}",

@@ -32,7 +32,7 @@ NOTHING = -1
 LEAST_ROUNDED_PX = 0.4
 """Radius of the ball in the picture from which all pixels are compared: bevels are then about half a pixel wide. By edges the
 shade of a bevel is free, and one narrower than the blur looks like an edge that lies elsewhere. That loses dice from half a pixel
-on; below, what it leaves open is small."""
+on; below, what it leaves open is small. It was chosen on thirteen of 160 random clips, those between 0.45 and 1 px."""
 MISSED = 1e300
 """Distance along a ray that meets nothing."""
 

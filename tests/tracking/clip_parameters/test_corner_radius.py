@@ -230,9 +230,9 @@ def test_a_given_radius_is_kept() -> None:
     assert result.track.contour_sigma_px == 0.0
 
 
-def shown_by_impacts(monkeypatch: pytest.MonkeyPatch, radius_m: float) -> TrackedClip:
-    """The clip, whose pictures show sharp corners and whose impacts show a radius."""
-    shown = CornerRadius(radius_m, 0.1 * radius_m, by_impacts=True)
+def shown_by_impacts(monkeypatch: pytest.MonkeyPatch) -> TrackedClip:
+    """The clip, whose pictures show sharp corners and whose impacts show the radius."""
+    shown = CornerRadius(RADIUS_M, 0.1 * RADIUS_M, by_impacts=True)
     monkeypatch.setattr(rounded_corners, "_radius_from_pictures", lambda *_: (None, False))
     monkeypatch.setattr(tracker, "radius_by_impacts", lambda *_: (shown, 0.6))
     return tracked.__wrapped__(CornerRounding.TESTED, 0.0)
@@ -240,7 +240,7 @@ def shown_by_impacts(monkeypatch: pytest.MonkeyPatch, radius_m: float) -> Tracke
 
 def test_a_die_is_tracked_again_with_the_radius_that_its_impacts_show(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if it had been given; but the place of its contour is only known as well as the radius is."""
-    given, result = tracked(CornerRounding.GIVEN, RADIUS_M), shown_by_impacts(monkeypatch, RADIUS_M)
+    given, result = tracked(CornerRounding.GIVEN, RADIUS_M), shown_by_impacts(monkeypatch)
     assert np.array_equal(result.track.position_m, given.track.position_m, equal_nan=True)
     assert result.corners is not None
     assert "sharp" in result.corners.notice
@@ -251,7 +251,7 @@ def test_a_die_is_tracked_again_with_the_radius_that_its_impacts_show(monkeypatc
 def test_poses_of_a_sharp_die_remain_where_it_does_not_fly_as_rounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tracker, "_tracked_as_rounded", lambda *_: tracked(CornerRounding.GIVEN, RADIUS_M))
     monkeypatch.setattr(tracker, "flies_as_before", lambda *_: False)
-    sharp, result = tracked(CornerRounding.GIVEN, 0.0), shown_by_impacts(monkeypatch, RADIUS_M)
+    sharp, result = tracked(CornerRounding.GIVEN, 0.0), shown_by_impacts(monkeypatch)
     assert np.array_equal(result.track.position_m, sharp.track.position_m, equal_nan=True)
     assert result.track.contour_sigma_px == 0.6
 
