@@ -100,8 +100,17 @@ def radius_by_surface(view: View, frames: SampledFrames) -> SurfaceRadius | None
         first_m,
         CornerRadius(found_m, sigma_m),
         radii[int(allowed[-1])],
-        best > 0 and fall > max(LEAST_FALL_SHARE * float(np.nanmean(costs[0])), SIGNIFICANT_SIGMAS * sigma),
+        best > 0
+        and fall > max(LEAST_FALL_SHARE * float(np.nanmean(costs[0])), SIGNIFICANT_SIGMAS * sigma)
+        and _falls_where_explained(costs[0], costs[best]),
     )
+
+
+def _falls_where_explained(first: Array, best: Array) -> bool:
+    """Whether the cost (n,) falls by LEAST_FALL_SHARE on the half of the frames that cost least, too. On the others something
+    is seen that is not drawn, such as the shadow of a die near the table, and corners of several pixels leave some of it out."""
+    half = np.argsort(best, kind="stable")[: (len(best) + 1) // 2]
+    return bool((first[half] - best[half]).mean() > LEAST_FALL_SHARE * first[half].mean())
 
 
 def may_be_rounder(view: View, frames: SampledFrames) -> bool:

@@ -52,8 +52,9 @@ TRIED_FURTHER = (0.87, 0.62, 0.42)
 """Exponents that are tried if one of those gains. Displays have 0.4 to 0.5."""
 FEWEST_FRAMES = 6
 """Frames below which nothing is said."""
-FEWEST_SIDES = 4
-"""Sides of the die that they show, below which nothing is said."""
+FEWEST_SIDES = 2
+"""Sides of the die that they show, below which nothing is said: a gain has an error from two on. So few hardly ever make a curve
+certain, but may leave it open, where a clip without loss would count as linear."""
 SAME_SIDE_RAD = 0.4
 """Rotation of a die over which frames show the same side of it."""
 CERTAIN_SIGMAS = 3.0

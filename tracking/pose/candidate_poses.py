@@ -99,6 +99,8 @@ SURFACE_COARSE_STEPS = 4
 """Coarse steps of that refinement."""
 SURFACE_COST_RATIO = 1.4
 """Cost over the lowest up to which such a trial is refined further."""
+SUPPORTED_ROUNDS = 3
+"""Refinements after which it must have LEAST_SUPPORT. Right poses have it from the first."""
 MOST_ROUNDS = 12
 """Refinements of a candidate one after the other, at the most."""
 SETTLED_EDGES = 0.02
@@ -155,8 +157,9 @@ def _candidates_in_regions(view: View, images: Image, blobs: list[Blob], rate_px
     found.sort(key=lambda pair: pair[0])
     if found and view.shows_surface(found[0][1].position_m):
         kept = _refined_on_surface(view, images, found, rate_px_s)
-        settled = [pose for _, pose in _settled(view, images, kept, rate_px_s, 0) if pose.support > LEAST_SUPPORT]
-        return sorted(((pose.cost, pose) for pose in settled), key=lambda pair: pair[0])
+        settled = [pose for _, pose in _settled(view, images, kept, rate_px_s, 0, on_surface=True)]
+        poses = _refined_once_more(view, images, settled, rate_px_s, coarse=0)
+        return sorted(((p.cost, p) for p in poses if p.support > LEAST_SUPPORT), key=lambda pair: pair[0])
     distinct = _distinct(view, found)[: view.quality.max_initial_poses]
     limit = distinct[0][0] + ACCEPTED_EXCESS_COST if distinct else 0.0
     kept = distinct[:FEW_KEPT] + [pair for pair in distinct[FEW_KEPT:] if pair[0] < limit]
@@ -180,25 +183,44 @@ def _refined_on_surface(
 
 
 def _settled(
-    view: View, images: Image, found: list[tuple[float, Pose]], rate_px_s: Array, coarse: int
+    view: View,
+    images: Image,
+    found: list[tuple[float, Pose]],
+    rate_px_s: Array,
+    coarse: int,
+    *,
+    on_surface: bool = False,
 ) -> list[tuple[float, Pose]]:
     """Poses refined until they stay; of those that become the same but for their distance, one.
 
     The prior of a refinement holds the distance of a small or well-rounded die, which its picture hardly shows, and with it
     whatever depends on that: six poses of a cube with corners rounded by a seventh of its edge, 6 to 14 % too far and 7 to 14
     degrees off, came within 2 degrees by twelve refinements, and the first of them led hardly anywhere. Each begins where the one
-    before ended, and the first with `coarse` steps."""
+    before ended, and the first with `coarse` steps. On the surface of a well-rounded die all but a last refinement are rough, and
+    poses that turn out not to be right are dropped."""
     settled = [False] * len(found)
     for k in range(MOST_ROUNDS):
         moving = [pose for (_, pose), stays in zip(found, settled, strict=True) if not stays]
-        again = iter(_refined_once_more(view, images, moving, rate_px_s, coarse=0 if k else coarse))
+        again = iter(_refined_once_more(view, images, moving, rate_px_s, coarse=0 if k else coarse, roughly=on_surface))
         moved = [(cost, pose if stays else next(again)) for (cost, pose), stays in zip(found, settled, strict=True)]
         settled = [_stays(view, before, after) for (_, before), (_, after) in zip(found, moved, strict=True)]
         kept = _distinct_but_for_distance(view, moved, SAME_DISTANCE, SAME_POSE_EDGES)
-        found, settled = [moved[k] for k in kept], [settled[k] for k in kept]
+        if on_surface:
+            promising = _promising([pose for _, pose in moved], k + 1)
+            kept = [row for row in kept if promising[row]]
+        found, settled = [moved[row] for row in kept], [settled[row] for row in kept]
         if all(settled):
             break
     return found
+
+
+def _promising(poses: list[Pose], rounds: int) -> list[bool]:
+    """Whether each of some poses on the surface of a well-rounded die, refined so many times, may be right."""
+    least = min((pose.cost for pose in poses), default=0.0)
+    return [
+        pose.cost < SURFACE_COST_RATIO * least and (rounds < SUPPORTED_ROUNDS or pose.support > LEAST_SUPPORT)
+        for pose in poses
+    ]
 
 
 def _refined_once_more(

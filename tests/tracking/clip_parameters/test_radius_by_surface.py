@@ -83,6 +83,32 @@ def test_a_codec_rounds_no_die(shape: str) -> None:
     assert not found.is_rounded
 
 
+def shadowed(frames: SampledFrames, setting: Studio, die: Die, darkness: float, penumbra_px: float) -> SampledFrames:
+    """The frames, six of which show a shadow as large as the die on the table beside it."""
+    background, pictures = setting.view(die).backgrounds[0], list(frames.pictures)
+    for k in range(6):
+        picture = pictures[k][0]
+        is_die = (
+            cv2.morphologyEx((abs(picture - background) > 12).astype(np.uint8), cv2.MORPH_CLOSE, np.ones((7, 7))) > 0
+        )
+        (y, x), (rows, columns) = (part.mean() for part in np.nonzero(is_die)), np.indices(picture.shape)
+        radius_px, heading = np.sqrt(is_die.sum() / np.pi), np.random.default_rng(k).uniform(0.0, 2.0 * np.pi)
+        x, y = x + 0.5 * radius_px * np.cos(heading), y + 0.5 * radius_px * np.sin(heading)
+        beyond = np.hypot(columns - x, rows - y) - radius_px
+        shade = 1.0 - darkness / (1.0 + np.exp(beyond / penumbra_px))
+        pictures[k] = np.where(is_die, picture, picture * shade).astype(picture.dtype)[None]
+    return replace(frames, pictures=tuple(pictures))
+
+
+@pytest.mark.parametrize(("darkness", "penumbra_px"), [(0.2, 4.0), (0.35, 6.0), (0.5, 10.0)])
+def test_a_shadow_beside_a_die_rounds_none(darkness: float, penumbra_px: float) -> None:
+    """On a part of the frames, of a codec that leaves corners a little round."""
+    frames = shadowed(sampled(STUDIO, CUBE, quality=60), STUDIO, CUBE, darkness, penumbra_px)
+    found = radius_by_surface(STUDIO.view(CUBE), frames)
+    assert found is not None
+    assert not found.is_rounded
+
+
 @pytest.mark.parametrize("blur_px", [1.2, 2.4])
 @pytest.mark.parametrize("shape", ["tetrahedron", "cube"])
 def test_a_die_out_of_focus_is_not_rounded(shape: str, blur_px: float) -> None:
