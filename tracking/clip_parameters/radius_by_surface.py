@@ -109,8 +109,10 @@ def radius_by_surface(view: View, frames: SampledFrames) -> SurfaceRadius | None
 def _falls_where_explained(first: Array, best: Array) -> bool:
     """Whether the cost (n,) falls by LEAST_FALL_SHARE on the half of the frames that cost least, too. On the others something
     is seen that is not drawn, such as the shadow of a die near the table, and corners of several pixels leave some of it out."""
+    known = np.isfinite(first) & np.isfinite(best)
+    first, best = first[known], best[known]
     half = np.argsort(best, kind="stable")[: (len(best) + 1) // 2]
-    return bool((first[half] - best[half]).mean() > LEAST_FALL_SHARE * first[half].mean())
+    return bool((first[half] - best[half]).sum() > LEAST_FALL_SHARE * first[half].sum())
 
 
 def may_be_rounder(view: View, frames: SampledFrames) -> bool:
