@@ -28,6 +28,7 @@ from .radius_by_impacts import SUFFICIENT_FRAMES as SUFFICIENT_FRAMES
 from .radius_by_impacts import flies_as_before as flies_as_before
 from .radius_by_impacts import open_contour_notice as open_contour_notice
 from .radius_by_impacts import radius_by_impacts as radius_by_impacts
+from .radius_by_impacts import unexplained_contacts as unexplained_contacts
 from .radius_by_surface import SURFACE_FRAMES as SURFACE_FRAMES
 from .radius_by_surface import may_be_rounder as may_be_rounder
 from .radius_by_surface import radius_by_surface as radius_by_surface

@@ -47,7 +47,7 @@ def radius_by_impacts(track: Track, die: Die, camera: Camera, every: int = 1) ->
 
     `track` is that of a die with sharp corners, of which one in `every` frames is used."""
     sharp = _measured(track, die, camera, every)
-    if sharp is None or not _unexplained_contacts(sharp):
+    if sharp is None or not unexplained_contacts(sharp):
         return None, 0.0
     open_contour = replace(track, contour_sigma_px=OPEN_CONTOUR_PX)
     first_m, largest_m = FIRST_SHARE * die.solid.inradius, largest_radius_m(die)
@@ -55,7 +55,7 @@ def radius_by_impacts(track: Track, die: Die, camera: Camera, every: int = 1) ->
     best, better_m, least = sharp, [], 2.0 * PENALTY
     for radius_m in map(float, tried_m):
         found = _measured(open_contour, replace(die, corner_radius_m=radius_m), camera, every)
-        if found is None or _unexplained_contacts(found) >= _unexplained_contacts(sharp):
+        if found is None or unexplained_contacts(found) >= unexplained_contacts(sharp):
             continue
         # More frames count as in flight with some radii: these are not compared.
         if np.array_equal(found.rows, sharp.rows) and gain_over(found.resolved, best.resolved) > least:
@@ -86,7 +86,7 @@ def flies_as_before(again: Track, before: Track, die: Die, camera: Camera, every
     if flights is None or anew is None or again.tracked.sum() < SUFFICIENT_FRAMES * before.tracked.sum():
         return False
     then, now = (sum(link.impact is not None for link in one.chain.links) for one in (flights, anew))
-    return now >= then and _unexplained_contacts(anew) <= _unexplained_contacts(flights)
+    return now >= then and unexplained_contacts(anew) <= unexplained_contacts(flights)
 
 
 def _measured(track: Track, die: Die, camera: Camera, every: int) -> MeasuredThrow | None:
@@ -97,7 +97,7 @@ def _measured(track: Track, die: Die, camera: Camera, every: int) -> MeasuredThr
         return None
 
 
-def _unexplained_contacts(found: MeasuredThrow) -> int:
+def unexplained_contacts(found: MeasuredThrow) -> int:
     """Number of contacts between flights of LONE_FRAMES or more that are no impact at one corner."""
     parts = found.chain.parts(found.frames.time_s[found.rows])
     known = pairwise(bool((found.chain.weights[part] > 0.0).sum() >= LONE_FRAMES) for part in parts)

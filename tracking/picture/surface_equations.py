@@ -34,7 +34,6 @@ from ..placed_die import (
     CONTOUR,
     CONTOUR_PX,
     EXPECTED_CLEAR_PX,
-    LEAST_ROUNDED_PX,
     LIGHT_TERMS,
     LOG_NOISE,
     NO_LIGHT,
@@ -146,12 +145,12 @@ def add_picture_equations(
 
 @inner_no_memory
 def compares_surface(view: int, model: PictureModel, pose: PoseState) -> bool:
-    """Whether the whole surface is compared in a view, and not edges: of a die rounded by LEAST_ROUNDED_PX or more, unless it is
+    """Whether the whole surface is compared in a view, and not edges: of a die rounded by `surface_from_px` or more, unless it is
     seen in a mirror, or bevels may have any shade."""
     shape, rig = model.shape, model.rig
     if not (shape.radius > 0.0 and rig.partner[view] < 0 and model.settings.light.level[view] != NO_LIGHT):
         return False
-    return bool(ball_px(shape, rig, view, pose.position) > LEAST_ROUNDED_PX)
+    return bool(ball_px(shape, rig, view, pose.position) > model.settings.surface_from_px)
 
 
 @inner(nogil=True, shared=True)

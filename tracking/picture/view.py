@@ -131,6 +131,8 @@ class View:
     response_sigma: float = 0.0
     """Standard deviation of the exponent of the cameras' response, grey = light ** exponent, from that of the clip's levels; 0
     where it is known."""
+    surface_from_px: float = LEAST_ROUNDED_PX
+    """Radius of rounded corners in the picture from which the whole surface of the die is compared, and not its edges."""
 
     @property
     def camera(self) -> Camera:
@@ -189,6 +191,7 @@ class View:
             strip_prior_share=STRIP_SHARE,
             light=self.light,
             whole_surface=True,
+            surface_from_px=self.surface_from_px,
             contour_stretch_px=STRETCH_PX,
             shade_change=SHADE_CHANGE,
             response=0.0,
@@ -211,9 +214,9 @@ class View:
 
     def shows_surface(self, position_m: Array) -> bool:
         """Whether pictures of the die at a place (3,) are compared pixel by pixel (`surface_equations`), since it is rounded by
-        LEAST_ROUNDED_PX or more."""
+        `surface_from_px` or more."""
         depth_m = float(self.camera.rotation[2] @ (position_m - self.camera.centre_m))
-        return not self.mirror and self.shape.radius * self.camera.matrix[0, 0] > LEAST_ROUNDED_PX * depth_m
+        return not self.mirror and self.shape.radius * self.camera.matrix[0, 0] > self.surface_from_px * depth_m
 
     def exposure_delay_s(self, positions_m: Array) -> Array:
         """(...,) [s] from the time of a frame to the exposure of the row in which the first camera sees each of some points

@@ -173,6 +173,8 @@ class RefinementSettings(NamedTuple):
     """What is known of the light before a frame is looked at, a `surface_light.LightPrior`."""
     whole_surface: bool
     """Whether all pixels of a well-rounded die are compared, or its edges alone."""
+    surface_from_px: float
+    """Radius of the ball in the picture from which a die counts as well rounded."""
     contour_stretch_px: float
     """Length of contour of a sharp die that shares one shade of the background."""
     shade_change: float

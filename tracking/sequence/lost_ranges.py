@@ -107,7 +107,7 @@ def _first_lost_range(view: View, source: FrameSource, poses: ClipPoses, unused:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], without, [False]])))
     for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         beside = [(k, step) for k, step in ((begin - 1, 1), (end, -1)) if 0 <= k < len(unused) and poses.known[k]]
-        if end - begin >= LEAST_LOST_FRAMES and any(_stays_in_view(view, source, poses, *one) for one in beside):
+        if end - begin >= LEAST_LOST_FRAMES and any(stays_in_view(view, source, poses, *one) for one in beside):
             return slice(begin, end)
     return None
 
@@ -142,7 +142,7 @@ def _of_no_flight(view: View, source: FrameSource, poses: ClipPoses) -> Mask:
     return out
 
 
-def _stays_in_view(view: View, source: FrameSource, poses: ClipPoses, k: int, step: int) -> bool:
+def stays_in_view(view: View, source: FrameSource, poses: ClipPoses, k: int, step: int) -> bool:
     """Whether the die on row k is still wholly in view `step` rows later, by its motion on row k."""
     here, then = source.times_s[[k, k + step]].tolist()
     rotation, (velocity_m_s, omega_rad_s) = quat_from_matrix(poses.rotation[k]), np.split(poses.motion[k], 2)

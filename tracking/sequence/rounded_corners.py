@@ -27,14 +27,16 @@ from ..clip_parameters import (
     radius_on_flights,
     sample_in_flight,
     surface_gain_over_sharp,
+    unexplained_contacts,
 )
 from ..footage import FrameSource
 from ..frame_to_frame import TrackingTask
-from ..picture import View, with_corner_radius
+from ..picture import CLEARLY_ROUNDED_PX, View, with_corner_radius
 from ..pose import ClipPoses, as_track, wholly_in_view
-from ..throw import NoFlightError, measure
+from ..throw import NoFlightError, decimation_factor, measure
 from ..track import Track
 from .initialisation import MIN_HYPOTHESES
+from .lost_ranges import stays_in_view
 from .tracking_pass import NoDieError, find_where_lost, track_once, track_throughout
 
 MAX_RADIUS_TRIALS = 3
@@ -54,6 +56,10 @@ SHARP_CONTOUR_PX = 0.25
 """Error of that contour [px] up to which its die may be sharp. It was chosen on one seed of random clips: flights of six sharp
 dice showed up to 0.14, those of 15 of 18 rounded ones 0.16 to 0.8. Of the others two are rounded by too little to differ so, and
 one leaves 0.2 open."""
+MOST_LOST_SHARE = 0.03
+"""Share of the frames that may lack a pose, or a flight, of a die that edges track well."""
+LATE_FRAMES = 2
+"""Frames at which a die may come into view or leave it before it has a pose, or after its last."""
 ROUND_SHARE = 0.25
 """Radius of the corners, as a share of the inscribed radius, of a die that may be rounded and is not found as a sharp one."""
 
@@ -67,7 +73,7 @@ def track_rounded(
     radius that it was done with. A rounded die that looked sharp must have been tracked over as many frames as the sharp one, or
     over hardly fewer with a radius that its flights support. Raises NoDieError if no die was found."""
     if rounding is CornerRounding.GIVEN:
-        return *track_throughout(view, task), None
+        return *_track_by_edges_or_surface(view, task), None
     first, poses = _track_sharp_or_round(view, task, rounding)
     corners, is_clear = _radius_from_pictures(first, task.source, poses, rounding)
     if corners is None or corners.radius_m == 0.0:
@@ -90,6 +96,40 @@ def track_rounded(
     if is_tested:
         return first, poses, None
     return with_corner_radius(first, corners.radius_m), poses, corners
+
+
+def _track_by_edges_or_surface(view: View, task: TrackingTask) -> tuple[View, ClipPoses]:
+    """A pass with the radius of the view's die: by its edges where it is rounded by less than CLEARLY_ROUNDED_PX and they
+    suffice, else by its whole surface."""
+    if view.die.corner_radius_m == 0.0:
+        return track_throughout(view, task)
+    try:
+        by_edges, poses = track_throughout(replace(view, surface_from_px=CLEARLY_ROUNDED_PX), task)
+    except NoDieError:
+        return track_throughout(view, task)
+    compared = [
+        view.shows_surface(place) and not by_edges.shows_surface(place) for place in poses.position_m[poses.known]
+    ]
+    if not any(compared) or _is_tracked_well(by_edges, poses, task):
+        return by_edges, poses
+    return track_throughout(view, task)
+
+
+def _is_tracked_well(view: View, poses: ClipPoses, task: TrackingTask) -> bool:
+    """Whether the die has poses while it is in view, and these lie on flights that meet as impacts at one corner do."""
+    source, known = task.source, np.flatnonzero(poses.known)
+    lost = ~(poses.known | task.unused)
+    if lost[known[0] : known[-1]].mean() > MOST_LOST_SHARE:
+        return False
+    for k, step in ((int(known[0]), -LATE_FRAMES), (int(known[-1]), LATE_FRAMES)):
+        if 0 <= k + step < len(lost) and lost[k + step] and stays_in_view(view, source, poses, k, step):
+            return False
+    track = as_track(view, source, poses, wholly_in_view(view, poses) & poses.evenly_spaced)
+    try:
+        found = measure(track, view.die, view.camera, every=decimation_factor(track, view.die))
+    except NoFlightError:
+        return False
+    return unexplained_contacts(found) == 0 and found.unexplained[track.tracked].mean() <= MOST_LOST_SHARE
 
 
 class _Corners(Enum):
