@@ -56,7 +56,7 @@ SHARP_CONTOUR_PX = 0.25
 """Error of that contour [px] up to which its die may be sharp. It was chosen on one seed of random clips: flights of six sharp
 dice showed up to 0.14, those of 15 of 18 rounded ones 0.16 to 0.8. Of the others two are rounded by too little to differ so, and
 one leaves 0.2 open."""
-MOST_LOST_SHARE = 0.03
+MOST_LOST_SHARE = 0.05
 """Share of the frames that may lack a pose, or a flight, of a die that edges track well."""
 LATE_FRAMES = 2
 """Frames at which a die may come into view or leave it before it has a pose, or after its last."""
@@ -129,7 +129,7 @@ def _is_tracked_well(view: View, poses: ClipPoses, task: TrackingTask) -> bool:
         found = measure(track, view.die, view.camera, every=decimation_factor(track, view.die))
     except NoFlightError:
         return False
-    return unexplained_contacts(found) == 0 and found.unexplained[track.tracked].mean() <= MOST_LOST_SHARE
+    return unexplained_contacts(found) == 0 and bool(found.unexplained[track.tracked].mean() <= MOST_LOST_SHARE)
 
 
 class _Corners(Enum):

@@ -14,6 +14,7 @@ from random_throws import random_quaternion
 from replay_records import ArrayClip
 from rounded_dice import photograph_rounded
 
+from diethrow.model.die.die import Die
 from diethrow.model.die.solid import SHAPES
 from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import quat_from_matrix, rotation_between
@@ -33,10 +34,12 @@ from diethrow.tracking.clip_parameters.corner_radius import (
 )
 from diethrow.tracking.footage import FrameSource
 from diethrow.tracking.frame_to_frame import TrackingTask
+from diethrow.tracking.picture import View
 from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.pose.refine import pose_state, refine_pose
 from diethrow.tracking.quality import FAST
 from diethrow.tracking.sequence import rounded_corners, tracker
+from diethrow.tracking.sequence.rounded_corners import _is_tracked_well, track_rounded
 from diethrow.tracking.sequence.tracker import ClipFacts, TrackedClip, track_clip
 
 STUDIO = replace(studio(), noise_grey=2.0)
@@ -278,6 +281,47 @@ def test_the_test_for_rounding_leaves_the_track_of_a_sharp_die_unchanged() -> No
     assert tested.die is CUBE
     assert np.array_equal(tested.track.position_m, given.track.position_m, equal_nan=True)
     assert np.array_equal(tested.track.covariance, given.track.covariance, equal_nan=True)
+
+
+SLIGHTLY_M = 0.6 / PX_PER_M
+"""Radius of six tenths of a pixel."""
+
+
+def slightly_rounded(die: Die) -> tuple[View, ClipPoses, TrackingTask]:
+    """The view and the poses with which the clip is tracked as that of a die of a given radius."""
+    source = FrameSource([sharp_clip()])
+    task = TrackingTask(source, np.zeros(FRAMES, bool), None, lambda frame: None)
+    room = replace(STUDIO, table=np.rint(STUDIO.table))
+    view, poses, corners = track_rounded(replace(room.view(die), quality=FAST), task, CornerRounding.GIVEN)
+    assert corners is None
+    return view, poses, task
+
+
+def test_a_slightly_rounded_die_is_tracked_by_its_edges_if_these_suffice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else by its whole surface, as one that is rounded by more than a pixel is from the first."""
+    die = replace(CUBE, corner_radius_m=SLIGHTLY_M)
+    view, poses, _ = slightly_rounded(die)
+    assert not view.shows_surface(poses.position_m[0])
+    monkeypatch.setattr(rounded_corners, "_is_tracked_well", lambda *_: False)
+    view, again, _ = slightly_rounded(die)
+    assert view.shows_surface(again.position_m[0])
+    assert np.abs(again.position_m - poses.position_m).max() < 3e-3
+    assert not np.array_equal(again.position_m, poses.position_m)
+    view, poses, _ = slightly_rounded(replace(CUBE, corner_radius_m=3.0 * SLIGHTLY_M))
+    assert view.shows_surface(poses.position_m[0])
+
+
+def test_edges_suffice_if_they_lose_no_frame_and_flights_meet_at_one_corner() -> None:
+    view, poses, task = slightly_rounded(CUBE)
+    assert poses.known.all()
+    assert _is_tracked_well(view, poses, task)
+    for lost in (slice(12, 15), slice(-4, None), slice(0, 4)):
+        some = poses.copy()
+        some.known[lost] = False
+        assert not _is_tracked_well(view, some, task)
+    turned = poses.copy()
+    turned.rotation[FRAMES // 2 :] = turned.rotation[FRAMES // 2 :][:, [1, 2, 0]]
+    assert not _is_tracked_well(view, turned, task)
 
 
 def test_a_first_radius_with_which_no_initial_pose_is_found_is_discarded(monkeypatch: pytest.MonkeyPatch) -> None:
