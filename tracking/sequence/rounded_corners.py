@@ -118,8 +118,8 @@ def _track_by_edges_or_surface(view: View, task: TrackingTask) -> tuple[View, Cl
 def _is_tracked_well(view: View, poses: ClipPoses, task: TrackingTask) -> bool:
     """Whether the die has poses while it is in view, and these lie on flights that meet as impacts at one corner do."""
     source, known = task.source, np.flatnonzero(poses.known)
-    lost = ~(poses.known | task.unused)
-    if lost[known[0] : known[-1]].mean() > MOST_LOST_SHARE:
+    lost = ~(poses.interpolated().known | task.unused)
+    if lost[known[0] : known[-1] + 1].mean() > MOST_LOST_SHARE:
         return False
     for k, step in ((int(known[0]), -LATE_FRAMES), (int(known[-1]), LATE_FRAMES)):
         if 0 <= k + step < len(lost) and lost[k + step] and stays_in_view(view, source, poses, k, step):
