@@ -34,8 +34,8 @@ LEAST_ROUNDED_PX = 0.4
 shade of a bevel is free, and one narrower than the blur looks like an edge that lies elsewhere. That loses some dice from half a
 pixel on; below, what it leaves open is small. It was chosen on thirteen of 160 random clips, those between 0.45 and 1 px."""
 CLEARLY_ROUNDED_PX = 1.0
-"""The same where edges are tried first, and suffice: they take a small part of the time, and of dark dice, whose faces and bevels
-hardly differ, they find the outline where a wrong pose explains as much of the surface."""
+"""The same while a die is followed from frame to frame, if its edges suffice: they take a small part of the time, and of dark
+dice, whose faces and bevels hardly differ, they find the outline where a wrong pose explains as much of the surface."""
 MISSED = 1e300
 """Distance along a ray that meets nothing."""
 

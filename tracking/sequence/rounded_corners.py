@@ -14,6 +14,7 @@ from ..clip_parameters import (
     RADIUS_FRAMES,
     SUFFICIENT_FRAMES,
     SURFACE_FRAMES,
+    ClockOffsets,
     CornerRadius,
     CornerRounding,
     contour_sigma_px,
@@ -37,6 +38,7 @@ from ..throw import NoFlightError, decimation_factor, measure
 from ..track import Track
 from .initialisation import MIN_HYPOTHESES
 from .lost_ranges import stays_in_view
+from .refine_on_edges import EdgeRefinement
 from .tracking_pass import NoDieError, find_where_lost, track_once, track_throughout
 
 MAX_RADIUS_TRIALS = 3
@@ -99,8 +101,8 @@ def track_rounded(
 
 
 def _track_by_edges_or_surface(view: View, task: TrackingTask) -> tuple[View, ClipPoses]:
-    """A pass with the radius of the view's die: by its edges where it is rounded by less than CLEARLY_ROUNDED_PX and they
-    suffice, else by its whole surface."""
+    """A pass with the radius of the view's die. One that is rounded by less than CLEARLY_ROUNDED_PX is followed by its edges,
+    where they suffice, and the poses are refined on its surface; else the surface is compared from the first."""
     if view.die.corner_radius_m == 0.0:
         return track_throughout(view, task)
     try:
@@ -110,9 +112,14 @@ def _track_by_edges_or_surface(view: View, task: TrackingTask) -> tuple[View, Cl
     compared = [
         view.shows_surface(place) and not by_edges.shows_surface(place) for place in poses.position_m[poses.known]
     ]
-    if not any(compared) or _is_tracked_well(by_edges, poses, task):
-        return by_edges, poses
-    return track_throughout(view, task)
+    surface = replace(by_edges, surface_from_px=view.surface_from_px)
+    if not any(compared):
+        return surface, poses
+    if not _is_tracked_well(by_edges, poses, task):
+        return track_throughout(view, task)
+    offsets = ClockOffsets.none(len(task.source.clips))
+    refinement = EdgeRefinement(surface, task.source, poses.interpolated(), None, ~task.unused, offsets)
+    return surface, refinement.refine(poses.known, lambda frames: None)
 
 
 def _is_tracked_well(view: View, poses: ClipPoses, task: TrackingTask) -> bool:

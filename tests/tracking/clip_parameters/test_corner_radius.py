@@ -34,13 +34,15 @@ from diethrow.tracking.clip_parameters.corner_radius import (
 )
 from diethrow.tracking.footage import FrameSource
 from diethrow.tracking.frame_to_frame import TrackingTask
-from diethrow.tracking.picture import View
+from diethrow.tracking.picture import CLEARLY_ROUNDED_PX, View
+from diethrow.tracking.placed_die import LEAST_ROUNDED_PX
 from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.pose.refine import pose_state, refine_pose
 from diethrow.tracking.quality import FAST
 from diethrow.tracking.sequence import rounded_corners, tracker
 from diethrow.tracking.sequence.rounded_corners import _is_tracked_well, track_rounded
 from diethrow.tracking.sequence.tracker import ClipFacts, TrackedClip, track_clip
+from diethrow.tracking.sequence.tracking_pass import track_throughout
 
 STUDIO = replace(studio(), noise_grey=2.0)
 CUBE = DICE["cube"]
@@ -298,17 +300,27 @@ def slightly_rounded(die: Die) -> tuple[View, ClipPoses, TrackingTask]:
 
 
 def test_a_slightly_rounded_die_is_tracked_by_its_edges_if_these_suffice(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Else by its whole surface, as one that is rounded by more than a pixel is from the first."""
+    """Else by its whole surface. Either way its poses are those of the surface."""
+    compared_from_px = []
+
+    def recorded(view: View, task: TrackingTask) -> tuple[View, ClipPoses]:
+        compared_from_px.append(view.surface_from_px)
+        return track_throughout(view, task)
+
+    monkeypatch.setattr(rounded_corners, "track_throughout", recorded)
     die = replace(CUBE, corner_radius_m=SLIGHTLY_M)
-    view, poses, _ = slightly_rounded(die)
-    assert not view.shows_surface(poses.position_m[0])
+    view, by_edges, _ = slightly_rounded(die)
+    assert view.shows_surface(by_edges.position_m[0])
+    assert compared_from_px == [CLEARLY_ROUNDED_PX]
     monkeypatch.setattr(rounded_corners, "_is_tracked_well", lambda *_: False)
-    view, again, _ = slightly_rounded(die)
-    assert view.shows_surface(again.position_m[0])
-    assert np.abs(again.position_m - poses.position_m).max() < 3e-3
-    assert not np.array_equal(again.position_m, poses.position_m)
-    view, poses, _ = slightly_rounded(replace(CUBE, corner_radius_m=3.0 * SLIGHTLY_M))
-    assert view.shows_surface(poses.position_m[0])
+    view, by_surface, _ = slightly_rounded(die)
+    assert view.shows_surface(by_surface.position_m[0])
+    assert compared_from_px == [CLEARLY_ROUNDED_PX, CLEARLY_ROUNDED_PX, LEAST_ROUNDED_PX]
+    across = (by_surface.position_m - by_edges.position_m) @ STUDIO.camera.rotation[:2].T
+    assert np.abs(across).max() * PX_PER_M < 0.3
+    # A cube of more than a pixel shows its surface from the first.
+    slightly_rounded(replace(CUBE, corner_radius_m=3.0 * SLIGHTLY_M))
+    assert compared_from_px[3:] == [CLEARLY_ROUNDED_PX]
 
 
 def test_edges_suffice_if_they_lose_no_frame_and_flights_meet_at_one_corner() -> None:
