@@ -119,7 +119,8 @@ def _track_by_edges_or_surface(view: View, task: TrackingTask) -> tuple[View, Cl
         return track_throughout(view, task)
     offsets = ClockOffsets.none(len(task.source.clips))
     refinement = EdgeRefinement(surface, task.source, poses.interpolated(), None, ~task.unused, offsets)
-    return surface, refinement.refine(poses.known, lambda frames: None)
+    refined = refinement.refine(poses.known, lambda frames: None)
+    return surface, replace(refined, frame_stride=poses.frame_stride)
 
 
 def _is_tracked_well(view: View, poses: ClipPoses, task: TrackingTask) -> bool:
