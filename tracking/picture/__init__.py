@@ -14,7 +14,6 @@ estimates blur, light and corner radius. `tracking.surface_marks` shares the pro
 from ..placed_die import BACKGROUND_SHARE as BACKGROUND_SHARE
 from ..placed_die import BLUR as BLUR
 from ..placed_die import CLEAR_PX as CLEAR_PX
-from ..placed_die import CLEARLY_ROUNDED_PX as CLEARLY_ROUNDED_PX
 from ..placed_die import CONTOUR as CONTOUR
 from ..placed_die import CONTOUR_PX as CONTOUR_PX
 from ..placed_die import EXPECTED_CLEAR_PX as EXPECTED_CLEAR_PX

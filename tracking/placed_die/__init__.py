@@ -72,8 +72,6 @@ from .rounded_edge import fill_sharp_basis as fill_sharp_basis
 from .rounded_edge import fill_strip_lines as fill_strip_lines
 from .rounded_edge import fill_strip_slopes as fill_strip_slopes
 from .rounded_edge import strip_turn as strip_turn
-from .rounded_surface import CLEARLY_ROUNDED_PX as CLEARLY_ROUNDED_PX
-from .rounded_surface import LEAST_ROUNDED_PX as LEAST_ROUNDED_PX
 from .rounded_surface import NOTHING as NOTHING
 from .rounded_surface import ball_px as ball_px
 from .rounded_surface import contour_segments as contour_segments

@@ -29,13 +29,6 @@ from .projection import (
 
 NOTHING = -1
 """Number of no part."""
-LEAST_ROUNDED_PX = 0.4
-"""Radius of the ball in the picture from which all pixels are compared: bevels are then about half a pixel wide. By edges the
-shade of a bevel is free, and one narrower than the blur looks like an edge that lies elsewhere. That loses some dice from half a
-pixel on; below, what it leaves open is small. It was chosen on thirteen of 160 random clips, those between 0.45 and 1 px."""
-CLEARLY_ROUNDED_PX = 1.0
-"""The same while a die is followed from frame to frame, if its edges suffice: they take a small part of the time, and of dark
-dice, whose faces and bevels hardly differ, they find the outline where a wrong pose explains as much of the surface."""
 MISSED = 1e300
 """Distance along a ray that meets nothing."""
 

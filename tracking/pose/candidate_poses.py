@@ -100,7 +100,7 @@ SURFACE_COARSE_STEPS = 4
 SURFACE_COST_RATIO = 1.4
 """Cost over the lowest up to which such a trial is refined further."""
 SUPPORTED_ROUNDS = 3
-"""Refinements after which it must have LEAST_SUPPORT. Right poses have it from the first."""
+"""Refinements after which it must have LEAST_SUPPORT. Right poses had it from the first on four random clips."""
 MOST_ROUNDS = 12
 """Refinements of a candidate one after the other, at the most."""
 SETTLED_EDGES = 0.02
@@ -196,8 +196,8 @@ def _settled(
     The prior of a refinement holds the distance of a small or well-rounded die, which its picture hardly shows, and with it
     whatever depends on that: six poses of a cube with corners rounded by a seventh of its edge, 6 to 14 % too far and 7 to 14
     degrees off, came within 2 degrees by twelve refinements, and the first of them led hardly anywhere. Each begins where the one
-    before ended, and the first with `coarse` steps. On the surface of a well-rounded die all but a last refinement are rough, and
-    poses that turn out not to be right are dropped."""
+    before ended, and the first with `coarse` steps. `on_surface` refines those of a well-rounded die
+    roughly, and drops the ones that turn out not to be right."""
     settled = [False] * len(found)
     for k in range(MOST_ROUNDS):
         moving = [pose for (_, pose), stays in zip(found, settled, strict=True) if not stays]

@@ -1,5 +1,5 @@
 """The radius of the corners: a clip is tracked again with a rounded die if its pictures show one, and with another radius until
-its flights show the one that it was tracked with."""
+its flights show the one that it was tracked with. A die of a given radius that hardly shows is followed by its edges."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from ..clip_parameters import (
 )
 from ..footage import FrameSource
 from ..frame_to_frame import TrackingTask
-from ..picture import CLEARLY_ROUNDED_PX, View, with_corner_radius
+from ..picture import View, with_corner_radius
 from ..pose import ClipPoses, as_track, wholly_in_view
 from ..throw import NoFlightError, decimation_factor, measure
 from ..track import Track
@@ -58,6 +58,10 @@ SHARP_CONTOUR_PX = 0.25
 """Error of that contour [px] up to which its die may be sharp. It was chosen on one seed of random clips: flights of six sharp
 dice showed up to 0.14, those of 15 of 18 rounded ones 0.16 to 0.8. Of the others two are rounded by too little to differ so, and
 one leaves 0.2 open."""
+CLEARLY_ROUNDED_PX = 1.0
+"""Radius in the picture from which the whole surface of a die is compared from the first. Below it edges follow most dice. They
+take a small part of the time, and of dark dice, whose faces and bevels hardly differ, they find the outline where a wrong pose
+explains as much of the surface. It was chosen on nineteen random clips."""
 MOST_LOST_SHARE = 0.05
 """Share of the frames that may lack a pose, or a flight, of a die that edges track well."""
 LATE_FRAMES = 2

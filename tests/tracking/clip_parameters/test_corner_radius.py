@@ -34,13 +34,12 @@ from diethrow.tracking.clip_parameters.corner_radius import (
 )
 from diethrow.tracking.footage import FrameSource
 from diethrow.tracking.frame_to_frame import TrackingTask
-from diethrow.tracking.picture import CLEARLY_ROUNDED_PX, View
-from diethrow.tracking.placed_die import LEAST_ROUNDED_PX
+from diethrow.tracking.picture.view import LEAST_ROUNDED_PX, View
 from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.pose.refine import pose_state, refine_pose
 from diethrow.tracking.quality import FAST
 from diethrow.tracking.sequence import rounded_corners, tracker
-from diethrow.tracking.sequence.rounded_corners import _is_tracked_well, track_rounded
+from diethrow.tracking.sequence.rounded_corners import CLEARLY_ROUNDED_PX, _is_tracked_well, track_rounded
 from diethrow.tracking.sequence.tracker import ClipFacts, TrackedClip, track_clip
 from diethrow.tracking.sequence.tracking_pass import track_throughout
 
